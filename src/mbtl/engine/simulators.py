@@ -30,6 +30,8 @@ class SceneProblem:
 
     storable: ClassVar[bool] = False
     """A simulator lives in one process, so no file holds the state of a training."""
+    lanes: ClassVar[int] = 1
+    """Policies trained together: their episodes run at the same time."""
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world, and the parameters of `contexts` with one leading axis.
@@ -77,8 +79,3 @@ class SceneProblem:
         for env in envs:
             env.close()
         return world, worlds.stack_params(world, constants)
-
-    @property
-    def lanes(self) -> int:
-        """Policies trained together: their episodes run at the same time."""
-        return 1

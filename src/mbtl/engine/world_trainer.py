@@ -259,32 +259,47 @@ class WorldTrainer:
         check_asked(self, contexts, start, length)
         if length is not None or len(contexts) > 1:
             return self._grow(contexts, seed, start, length or 1.0, done, state, on_progress)
-        world, params = self._lessons(contexts)
-        recipe = self.learner
+        world, params = lessons = self._lessons(contexts)
+        training = self._whole(
+            lessons, [seed], state, on_progress, self.checkpoint == "best", start
+        )
+        weights = training.best if self.checkpoint == "best" else training.state.weights
+        policy = engine.export_policies(world, weights, self.learner.activation)[0]
         each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
-        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
+        return Trained(policy, int(training.updates) * self.update_length * each)
 
-        def fresh() -> Any:
-            weights = None if start is None else engine.taught(world, start, recipe.activation)
-            return engine.start(world, recipe, [seed], params, weights)
+    def _whole(
+        self,
+        lessons: tuple[Any, Any],
+        seeds: Sequence[int],
+        state: Path | None,
+        on_progress: OnProgress | None,
+        only_best: bool,
+        start: Any = None,
+    ) -> Any:
+        """Trainings as the recipe says, each on one of the contexts."""
+        (world, params), recipe = lessons, self.learner
+        metric = "episode_return" if self.episodes is None else "score"
 
-        training = engine.train(
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {metric: latest}, self.counts))
+
+        return engine.train(
             world,
             recipe,
-            [seed],
+            seeds,
             params,
             self.length,
-            on_block=self._on_block(on_progress),
+            on_block=on_block,
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self.how,
-            only_best=self.checkpoint == "best",
-            resume=file.load(fresh) or fresh(),
-            saved=file,
+            only_best=only_best,
+            weights=None if start is None else engine.taught(world, start, recipe.activation),
+            saved=_saved(world, state),
         )
-        weights = training.best if self.checkpoint == "best" else training.state.weights
-        policy = engine.export_policies(world, weights, recipe.activation)[0]
-        return Trained(policy, int(training.updates) * self.update_length * each)
 
     def _grow(
         self,
@@ -300,7 +315,7 @@ class WorldTrainer:
         growing = self._growing([contexts], [seed])
         world, recipe = growing.world, growing.recipe
         n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
-        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
+        file = _saved(world, state)
         each: Any = () if by_steps else engine.counted.each_of(self.problem, contexts)
 
         def played(updates: int) -> int:
@@ -427,23 +442,10 @@ class WorldTrainer:
         one policy, and the mean of the latest evaluations; without "final" among what to keep, a
         training may need fewer of them.
         """
-        world, params = self._lessons(contexts)
-        recipe = self.learner
-        training = engine.train(
-            world,
-            recipe,
-            seeds,
-            params,
-            self.length,
-            on_block=self._on_block(on_progress),
-            checkpoint_every=self.checkpoint_every,
-            checkpoint_episodes=self.checkpoint_episodes,
-            acting=self.how,
-            only_best="final" not in keep,
-            saved=engine.SavedTraining(state if getattr(world, "storable", True) else None),
-        )
+        lessons, activation = self._lessons(contexts), self.learner.activation
+        training = self._whole(lessons, seeds, state, on_progress, "final" not in keep)
         kept = {"best": training.best, "final": training.state.weights}
-        return {name: engine.export_policies(world, kept[name], recipe.activation) for name in keep}
+        return {name: engine.export_policies(lessons[0], kept[name], activation) for name in keep}
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`)."""
@@ -462,19 +464,6 @@ class WorldTrainer:
         if self.reward is not None:
             world = replace(world, reward=self.reward)
         return world if self.actions is None else world.lesson(self.actions), params
-
-    def _on_block(self, on_progress: OnProgress | None) -> Callable[[Any], None] | None:
-        """Tells where a training stands."""
-        if on_progress is None:
-            return None
-        by_steps = self.unit == "timesteps"
-        unit, metric = ("steps", "episode_return") if by_steps else ("episodes", "score")
-
-        def on_block(block: Any) -> None:
-            latest = float(np.mean(block.training.latest_return))
-            on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
-
-        return on_block
 
     # ---- evaluation --------------------------------------------------------------------------
 
@@ -499,16 +488,24 @@ class WorldTrainer:
         returns = self.evaluate(policy, contexts, seeds)
         steps = engine.counted.known_steps(self.problem, contexts, returns)
         if steps is None:
-            counting = replace(self, problem=engine.counted.Counting(self.problem))
-            steps = counting.evaluate(policy, contexts, seeds)
+            steps = self.evaluate_many([policy], contexts, seeds, counting=True)[0]
         return returns, steps
 
     def evaluate_many(
-        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
+        self,
+        policies: Sequence[MLPPolicy],
+        contexts: Sequence[Context],
+        seeds: Sequence[int] | int,
+        *,
+        counting: bool = False,
     ) -> Array:
-        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`.
+
+        With `counting` a return is a number of steps.
+        """
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
+        world = replace(world, counts=True) if counting else world
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
         return engine.evaluate(world, actor, params, each, activation=activation, how=self.how)
 
@@ -599,3 +596,8 @@ class WorldTrainer:
 def _advanced(training: Any, updates: int) -> Any:
     """As if so many more updates were done; schedules follow their number."""
     return training._replace(updates=training.updates + updates) if updates else training
+
+
+def _saved(world: Any, state: Path | None) -> Any:
+    """The file of a training, where files can hold its simulations."""
+    return engine.SavedTraining(state if getattr(world, "storable", True) else None)

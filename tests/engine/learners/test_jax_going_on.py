@@ -16,7 +16,6 @@ from poles import assert_same, first
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
-from mbtl.engine.learners.multitask.table import seen
 from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
@@ -63,7 +62,8 @@ def params_of(recipe, lengths):
     params = poles.params_of(WORLD, lengths)
     if not isinstance(recipe, engine.MultiTaskRecipe):
         return params
-    return jax.tree.map(lambda x: np.stack([x, x]), seen(recipe, params))  # both, for each policy
+    both = jax.tree.map(lambda x: np.concatenate([x, x]), params)  # for each policy
+    return engine.in_sets(recipe, both, 2)
 
 
 def outputs(recipe, network):

@@ -25,7 +25,6 @@ from mbtl.engine.learners.evaluation import (
 )
 from mbtl.engine.learners.export import export_policies, taught
 from mbtl.engine.learners.growing import Growing, Stage
-from mbtl.engine.learners.inheritance import taking_over
 from mbtl.engine.learners.loop import in_sets, start, train
 from mbtl.engine.learners.recipes import (
     MULTI_TASK,
@@ -37,7 +36,7 @@ from mbtl.engine.learners.recipes import (
     Recipe,
     multitask_recipe,
 )
-from mbtl.engine.learners.saving import SavedTraining
+from mbtl.engine.learners.saving import SavedTraining, taking_over
 from mbtl.engine.worlds import counted
 from mbtl.engine.worlds.environments import Box, Discrete, Environment, Step
 from mbtl.engine.worlds.hosted import hosted

@@ -9,16 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import keystr
 from numpy.typing import NDArray
 
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.worlds.environments import Tree
-from mbtl.errors import StorageError, TrainingFailed, few
+from mbtl.errors import StorageError, TrainingFailed
+
+T = TypeVar("T")
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of it."""
@@ -151,25 +154,33 @@ def check_finite(weights: Tree, step: int) -> None:
 
 
 def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
-    """Plain arrays to be saved, e.g. with `numpy.savez`."""
-    return {f"leaf_{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(training))}
+    """Plain arrays by their places, to be saved, e.g. with `numpy.savez`."""
+    leaves = jax.tree_util.tree_leaves_with_path(training)
+    return {keystr(place): np.asarray(x) for place, x in leaves}
 
 
-def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
+def from_arrays(template: T, arrays: Mapping[str, NDArray[Any]], within: str = "") -> T:
     """What `to_arrays` took apart; the template is a beginning with the same arguments.
+
+    Args:
+        template: of the training, or of a part of it.
+        arrays: of a training.
+        within: where the part is, e.g. ".state.weights".
 
     Raises:
         StorageError: the arrays belong to other arguments.
     """
-    leaves, structure = jax.tree.flatten(template)
-    names = [f"leaf_{i}" for i in range(len(leaves))]
-    if missing := [name for name in names if name not in arrays]:
-        raise StorageError(f"a saved training must hold {few(missing)}; start anew")
-    loaded = [np.asarray(arrays[name]) for name in names]
-    for old, new in zip(leaves, loaded, strict=True):
+    leaves, structure = jax.tree_util.tree_flatten_with_path(template)
+    found = []
+    for place, old in leaves:
+        name = within + keystr(place)
+        if name not in arrays:
+            raise StorageError(f"a saved training must hold {name}; start anew")
+        new = np.asarray(arrays[name])
         if old.shape != new.shape or old.dtype != new.dtype:
             raise StorageError(
                 f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
                 f"where {old.dtype}{old.shape} belongs; start anew"
             )
-    return cast(Training, jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded]))
+        found.append(jnp.asarray(new))
+    return cast(T, jax.tree.unflatten(structure, found))

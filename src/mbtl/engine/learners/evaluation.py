@@ -4,6 +4,10 @@ Notation (shapes): P policies, C contexts, E episodes; n simulations, policy by 
 
 Each context has episodes of its own, the same for every policy. What is drawn in one follows from
 its seed and the moment: it is the same in any company.
+
+A world may know that luck is of K kinds. Then an episode is one of each, and worth their mean:
+`strata(params)` of the world gives the parameters of C contexts with each kind, context by context,
+(C x K, ...), and how probable the kinds are, (C, K).
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbtl.arrays import Array
 from mbtl.engine.learners.episodic.episodes import Acting, Actor, go_on, measures
 from mbtl.engine.learners.recipes import Activation
-from mbtl.engine.worlds import ends, strata
+from mbtl.engine.worlds import ends
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import Solo, World, context_of, in_a_row, of_simulations
 from mbtl.errors import InvalidInput
@@ -76,7 +80,7 @@ def evaluate(
     Args:
         world: the dynamics.
         actor: of P policies, leading axis.
-        params: of C contexts, likewise; `mbtl.engine.worlds.strata` says what an episode is.
+        params: of C contexts, likewise.
         seeds: (C, E) of the episodes in each context.
         activation: between the layers of the actors.
         how: actions follow from a policy.
@@ -101,7 +105,7 @@ def evaluate(
         parts = [own[:, first : first + most] for first in range(0, n_episodes, most)]
         each = partial(evaluate, world, actor, params, activation=activation, how=how)
         return np.concatenate([each(some) for some in parts], axis=-1)
-    params, shares = strata.of_each_kind(world, params)
+    params, shares = of_each_kind(world, params)
     own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
     fitting = CPU_ROWS if world.apart else n_policies * n_episodes
     rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
@@ -125,7 +129,7 @@ def evaluate(
             everyone = np.tile(own[c], (height, 1))
             part = own_measures(world, activation, how, some, everyone, where)["score"]
             place[:, c] = np.asarray(part)[:count]
-    return strata.merged(returns, shares)
+    return merged(returns, shares)
 
 
 def evaluate_each(
@@ -156,7 +160,7 @@ def evaluate_each(
     Returns:
         (P, C, E).
     """
-    params, shares = strata.of_each_kind(world, params)
+    params, shares = of_each_kind(world, params)
     kinds = shares.shape[1]
     places = (where[..., None] * kinds + np.arange(kinds)).reshape(-1)
     who = np.repeat(np.arange(len(where)), where.shape[1] * kinds)
@@ -172,6 +176,21 @@ def evaluate_each(
             on_block(min(first + step, len(who)), len(who))
     each = np.concatenate(found).reshape(*where.shape, kinds, -1)
     mean: Array = np.einsum("pcke,pck->pce", each, shares[where])
+    return mean
+
+
+def of_each_kind(world: Any, params: Any) -> tuple[Any, Array]:
+    """What a world says of kinds; the parameters and shares of 1 where it says nothing."""
+    if hasattr(world, "strata"):
+        every, shares = world.strata(params)
+        return every, shares
+    return params, np.ones((len(params.visible), 1))
+
+
+def merged(scores: Array, shares: Array) -> Array:
+    """(P, C, E) from (P, C x K, E): the mean of the kinds, weighted by how probable they are."""
+    each = scores.reshape(len(scores), *shares.shape, scores.shape[-1])
+    mean: Array = np.einsum("pcke,ck->pce", each, shares)
     return mean
 
 
@@ -209,14 +228,14 @@ def measured(
     if actor is None:
         actor, how = Actor((), jnp.zeros((1, 1))), "none"
         world = replace(cast(Any, world), way=way) if way in getattr(world, "ways", ()) else world
-    params, shares = strata.of_each_kind(world, params)
+    params, shares = of_each_kind(world, params)
     own = np.repeat(np.array(seeds, np.uint32), shares.shape[1], axis=0)
     each = [
         own_measures(world, activation, how, actor, own[c : c + 1], context_of(params, c))
         for c in range(shares.size)
     ]
     return {
-        name: strata.merged(np.stack([np.asarray(one[name]) for one in each], axis=1), shares)[0]
+        name: merged(np.stack([np.asarray(one[name]) for one in each], axis=1), shares)[0]
         for name in each[0]
     }
 

@@ -16,12 +16,11 @@ from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
 from mbtl.engine.learners.evaluation import own_measures
-from mbtl.engine.learners.multitask.table import seen
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.recipes import check_lengths
 from mbtl.engine.learners.saving import SavedTraining
 from mbtl.engine.worlds.environments import Length, Tree
-from mbtl.engine.worlds.world import World, context_of, in_a_row
+from mbtl.engine.worlds.world import World, in_a_row
 from mbtl.errors import InvalidInput
 from mbtl.seeds import checkpoint_seeds
 
@@ -44,7 +43,7 @@ def start(
             f"training takes one seed per context (repeat contexts for more seeds), "
             f"got {len(seeds)} seeds and {n_contexts} contexts"
         )
-    init = partial(algorithms.init, world, recipe, seeds, _in_jax(params))
+    init = partial(algorithms.init, world, recipe, seeds, jax.tree.map(jnp.asarray, params))
     state = init()
     if weights is not None:
         state = init(_fitting(weights, state.weights))
@@ -121,7 +120,7 @@ def train(
     if pace is None:
         pace = (Pace.falling if recipe.falls else Pace.endless)(schedule.total)
     decisions = world.decisions(in_a_row(params))
-    params = _in_jax(params)
+    params = jax.tree.map(jnp.asarray, params)
     best = world.max_return
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
@@ -157,15 +156,18 @@ def train(
 
 
 def in_sets(recipe: AnyRecipe, params: Tree, n_contexts: int) -> Tree:
-    """Parameters of P x N contexts, set by set, as P trainings take them; of N = 1: as given."""
+    """Parameters of P x N contexts, set by set, as P trainings take them; of N = 1: as given.
+
+    Networks with a vector per context see its place among them as one more feature.
+    """
     if n_contexts == 1:
         return params
     count = len(params.visible) // n_contexts  # not -1: what is empty has any number of rows
     every = jax.tree.map(lambda x: np.reshape(x, (count, n_contexts, *np.shape(x)[1:])), params)
     if not getattr(recipe, "has_vectors", False):
         return every
-    parts = [seen(recipe, context_of(every, p)) for p in range(len(every.visible))]
-    return jax.tree.map(lambda *each: np.stack(each), *parts)
+    places = np.broadcast_to(np.arange(n_contexts)[:, None], (count, n_contexts, 1))
+    return every._replace(visible=np.concatenate([every.visible, places], axis=-1))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
@@ -196,8 +198,3 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"{needed}, got {given}"
         )
     return cast(Weights, jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights))
-
-
-def _in_jax(params: Tree) -> Tree:
-    """As arrays of jax; counts stay whole numbers."""
-    return jax.tree.map(jnp.asarray, params)

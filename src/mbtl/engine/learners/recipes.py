@@ -363,8 +363,8 @@ class EpisodicActorCritic(TwinRecipe, ActorCritic):
     Attributes:
         critic_gain: of the critic's last layer at the start.
         first_action: mean of a Gaussian policy before the first update, in every dimension.
-        begin: what a new policy does: a name that the world knows (`engine.worlds.rules.Rules`);
-            empty: its first action.
+        begin: what a new policy does: a name that the world knows (`rule`); empty: its first
+            action.
         credit: whose rewards an action is worth (`returns.of_team`).
     """
 

@@ -1,22 +1,30 @@
-"""Trainings in a file, so that an interrupted one goes on where it was."""
+"""Trainings in a file, so that an interrupted one goes on where it was, or another one from it.
+
+A training on other contexts takes over all that is not of contexts: networks, the optimiser and
+statistics of rewards. Simulations stay, and with them the replay of transitions where it is of
+copies.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.engine.learners.blocks import Training, from_arrays, to_arrays
-from mbtl.engine.learners.inheritance import inheriting
 from mbtl.errors import MbtlError
 from mbtl.files import read_arrays, whole_file
 
 T = TypeVar("T")
 
+_TAKEN = ("weights", "optimizer", "memory", "fresh")
+"""Of the state of a training: what another one can begin with."""
 _NOTE = "note_"
 _SECONDS = 30.0
 """Between two savings, which cost a copy of all weights from the device."""
@@ -52,7 +60,13 @@ class SavedTraining:
         With it the updates that the other one had done; its notes are found. None where there is
         nothing that fits.
         """
-        return self._read(lambda arrays: inheriting(begun, arrays))
+
+        def inheriting(arrays: dict[str, NDArray[Any]]) -> tuple[Training, int]:
+            fields = _taken(begun.state)
+            given = {n: from_arrays(own, arrays, f".state.{n}") for n, own in fields.items()}
+            return _begun_with(begun, given), int(arrays[".updates"])
+
+        return self._read(inheriting)
 
     def load(self, template: Callable[[], Training]) -> Training | None:
         """What was saved; None where there is nothing that fits: then it starts anew.
@@ -73,3 +87,27 @@ class SavedTraining:
             return found
         except (MbtlError, ValueError, OSError):
             return None
+
+
+def taking_over(training: Training, parent: Training, which: Sequence[int]) -> Training:
+    """Trainings before their first update, with networks, optimiser and statistics of others.
+
+    Args:
+        training: P, as `start` gives them.
+        parent: trunks to begin from.
+        which: (P,) one of them for each.
+    """
+    index = np.asarray(which)
+    given = jax.tree.map(lambda x: x[index], _taken(parent.state))
+    return _begun_with(training, given)
+
+
+def _taken(state: Any) -> dict[str, Any]:
+    return {name: getattr(state, name) for name in _TAKEN if name in state._fields}
+
+
+def _begun_with(training: Training, given: dict[str, Any]) -> Training:
+    if "target" in training.state._fields:
+        given["target"] = given["weights"].actor
+    state = jax.tree.map(jnp.copy, training.state._replace(**given))
+    return training._replace(state=state, best=jax.tree.map(jnp.copy, state.weights))

@@ -1,4 +1,4 @@
-"""Steps of episodes: known beforehand, by the return, or counted in an environment of their own.
+"""Steps of episodes: known beforehand, or by the return.
 
 Notation (shapes): T contexts, E episodes.
 """
@@ -6,7 +6,6 @@ Notation (shapes): T contexts, E episodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,32 +41,3 @@ def known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -
     if lasts == "return":
         return returns.copy()
     return np.full(returns.shape, float(world.env.horizon)) if lasts == "horizon" else None
-
-
-@dataclass(frozen=True)
-class Counting:
-    """A problem in which a return is a number of steps."""
-
-    problem: Problem
-
-    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        """The same contexts."""
-        world, params = self.problem(contexts)
-        return replace(world, env=Counted(world.env)), params
-
-
-@dataclass(frozen=True)
-class Counted:
-    """An environment whose every step is worth 1, so that a return is a number of steps."""
-
-    env: Any
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "env" or name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.env, name)
-
-    def step(self, state: Any, action: Any, params: Any) -> Any:
-        """One step of the environment."""
-        moved = self.env.step(state, action, params)
-        return moved._replace(reward=moved.reward * 0.0 + 1.0)

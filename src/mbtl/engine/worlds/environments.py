@@ -83,13 +83,31 @@ class Described(Protocol):
     """What is fixed about a kind of simulation; hashable, as it is a compile-time constant.
 
     Attributes:
-        horizon: steps after which an episode is cut off.
-        time_limit: whether learning sees the cut-off as truncation or as a terminal state.
-        action: the action space.
+        time_limit: whether learning sees an episode's end as truncation or as a terminal state.
+        action: the action space of an agent.
         n_features: length of an observation without visible context features.
+        max_return: no episode is worth more; None where that is not known.
+        params: class of the parameters; its last field is `visible`, (v,) or (n, v).
+    """
+
+    @property
+    def time_limit(self) -> TimeLimit: ...  # noqa: D102
+    @property
+    def action(self) -> Discrete | Box: ...  # noqa: D102
+    @property
+    def n_features(self) -> int: ...  # noqa: D102
+    @property
+    def max_return(self) -> float | None: ...  # noqa: D102
+    @property
+    def params(self) -> type[Any]: ...  # noqa: D102
+
+
+class OfOneAgent(Described, Protocol):
+    """What is fixed about a simulation of one agent.
+
+    Attributes:
+        horizon: steps after which an episode is cut off.
         n_noise: uniform random numbers that start an episode.
-        max_return: no episode can return more; None where that is not known.
-        params: class of the parameters; its last field is `visible`.
 
     It may say how many steps an episode has, so that nobody need count them: `lasts = "horizon"`,
     or "return" where that is the number of its steps.
@@ -98,20 +116,10 @@ class Described(Protocol):
     @property
     def horizon(self) -> int: ...  # noqa: D102
     @property
-    def time_limit(self) -> TimeLimit: ...  # noqa: D102
-    @property
-    def action(self) -> Discrete | Box: ...  # noqa: D102
-    @property
-    def n_features(self) -> int: ...  # noqa: D102
-    @property
     def n_noise(self) -> int: ...  # noqa: D102
-    @property
-    def max_return(self) -> float | None: ...  # noqa: D102
-    @property
-    def params(self) -> type[Any]: ...  # noqa: D102
 
 
-class Environment(Described, Protocol):
+class Environment(OfOneAgent, Protocol):
     """Dynamics of one simulation; with an action `idle` that is none, it goes on without advice."""
 
     def initial(self, noise: jax.Array, params: Tree) -> Tree:

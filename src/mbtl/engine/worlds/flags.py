@@ -14,10 +14,9 @@ is in `cache`.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 
 from mbtl.engine.worlds.cache import keep_programs
@@ -39,21 +38,6 @@ def settings(environ: Mapping[str, str]) -> dict[str, str]:
     return lacking if _THREADS in environ else {**lacking, _THREADS: "1"}
 
 
-@contextlib.contextmanager
-def lent(values: Mapping[str, str]) -> Iterator[None]:
-    """These values are in the environment of the process for the block, and gone after it."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
 def start_jax() -> None:
     """Start jax with our settings, unless it runs already; then warn where it could hang."""
     import jax
@@ -61,8 +45,15 @@ def start_jax() -> None:
     if _runs():
         _warn(jax.default_backend())
         return
-    with lent(settings(os.environ)):
+    lent = settings(os.environ)
+    before = {name: os.environ[name] for name in lent if name in os.environ}
+    os.environ.update(lent)
+    try:
         jax.devices()
+    finally:
+        for name in lent:
+            del os.environ[name]
+        os.environ.update(before)
     keep_programs(os.environ)
 
 

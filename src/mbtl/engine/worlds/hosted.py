@@ -23,14 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.engine.worlds.environments import Described, Environment, Step, Tree
+from mbtl.engine.worlds.environments import Environment, OfOneAgent, Step, Tree
 from mbtl.engine.worlds.world import Solo
 
 State = Mapping[str, Array]
 """Arrays by name, with the axes of the batch first."""
 
 
-class Batch(Described, Protocol):
+class Batch(OfOneAgent, Protocol):
     """A native simulator of many simulations.
 
     Axes of a batch, `...` below, come first in every array; parameters have all of them, too.
@@ -88,7 +88,7 @@ class Hosted:
 
     def initial(self, noise: jax.Array, params: Tree) -> Shown:
         """First state."""
-        if self._traced_start:
+        if getattr(self.batch, "traced_start", False):
             return Shown(*self.batch.initial(noise, params))
         return Shown(*_called(self.batch.initial, self._shown(), noise, params))
 
@@ -99,28 +99,9 @@ class Hosted:
         new, obs, reward, terminated = _called(self.batch.step, kinds, state.state, action, params)
         return Step(Shown(new, obs), reward, terminated)
 
-    def restart(self, state: Shown, over: jax.Array, noise: jax.Array, params: Tree) -> Shown:
-        """First states of the simulations that are over; those alone are started."""
-        if self._traced_start:
-            fresh = self.initial(noise, params)
-            kept: Shown = jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
-            return kept
-
-        def some(state: Any, obs: Array, over: Array, noise: Array, params: Any) -> Any:
-            if not over.any():
-                return state, obs
-            fresh = self.batch.initial(noise[over], jax.tree.map(lambda x: x[over], params))
-            return jax.tree.map(lambda old, new: _put(old, over, new), (state, obs), fresh)
-
-        return Shown(*_called(some, self._shown(), *state, over, noise, params))
-
     def observe(self, state: Shown, params: Tree) -> jax.Array:
         """What the batch showed, and the visible features."""
         return jnp.concatenate([state.obs, params.visible]).astype(jnp.float32)
-
-    @property
-    def _traced_start(self) -> bool:
-        return bool(getattr(self.batch, "traced_start", False))
 
     def _shown(self) -> tuple[Any, Any]:
         state = {name: _shape(shape, np.float32) for name, shape in self.batch.shapes}
@@ -181,12 +162,6 @@ class _Packing:
             leaves.append(part.reshape(*packed.shape[:-1], *shape).astype(dtype))
             first += math.prod(shape)
         return jax.tree.unflatten(self.tree, leaves)
-
-
-def _put(old: Array, at: Array, new: Array) -> Array:
-    changed = np.array(old)
-    changed[at] = new
-    return changed
 
 
 def _shape(shape: tuple[int, ...], dtype: Any) -> jax.ShapeDtypeStruct:

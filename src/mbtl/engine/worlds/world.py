@@ -24,7 +24,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.engine.worlds import random
-from mbtl.engine.worlds.environments import Box, Discrete, Environment, Length, TimeLimit, Tree
+from mbtl.engine.worlds.environments import (
+    Box,
+    Described,
+    Discrete,
+    Environment,
+    Length,
+    TimeLimit,
+    Tree,
+)
 from mbtl.errors import InvalidInput
 
 _FIRST, _ANY = 1 << 23, 1 << 20  # streams of random numbers: first states, actions of no policy
@@ -57,37 +65,26 @@ class Moved(NamedTuple):
     done: jax.Array
 
 
-class World(Protocol):
+class World(Described, Protocol):
     """Dynamics of n simulations; hashable, as it is a compile-time constant.
 
     Attributes:
-        time_limit: whether learning sees an episode's end as truncation or as a terminal state.
-        action: the action space of an agent.
         agents: A.
-        n_features: length of an observation without visible context features.
         apart: whether its functions may be vectorised once more, over contexts and policies: there
             is nothing that all simulations of a batch decide together.
         drives: whether it goes on without any advice, see `drive`.
-        max_return: no episode is worth more; None where that is not known.
-        params: class of the parameters; its last field is `visible`, (v,) or (n, v).
+
+    A world may know rules by which its agents may act, what a training can begin with (`begin` of a
+    recipe): `rule(name)` gives layers (weight (n_in, n_out), bias (n_out,)) of a network of tanh,
+    for observations without visible context.
     """
 
     @property
-    def time_limit(self) -> TimeLimit: ...  # noqa: D102
-    @property
-    def action(self) -> Discrete | Box: ...  # noqa: D102
-    @property
     def agents(self) -> int: ...  # noqa: D102
-    @property
-    def n_features(self) -> int: ...  # noqa: D102
     @property
     def apart(self) -> bool: ...  # noqa: D102
     @property
     def drives(self) -> bool: ...  # noqa: D102
-    @property
-    def max_return(self) -> float | None: ...  # noqa: D102
-    @property
-    def params(self) -> type[Any]: ...  # noqa: D102
 
     def decisions(self, params: Tree) -> Length:
         """Length of an episode at most, in this context or in these; not traced."""
@@ -199,9 +196,11 @@ class Solo:
 
     Attributes:
         env: one simulation.
+        counts: a step is worth 1, so that a return is a number of steps.
     """
 
     env: Environment
+    counts: bool = False
     agents: int = 1
     apart: bool = True
 
@@ -269,16 +268,12 @@ class Solo:
 
     def restart(self, state: Played, over: jax.Array, noise: jax.Array, params: Tree) -> Played:
         """The states, but first ones where a simulation is over, (n,)."""
-        if not hasattr(self.env, "restart"):
-            fresh = self.start(noise, params)
 
-            def anew(fresh: jax.Array, old: jax.Array) -> jax.Array:
-                return jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
+        def anew(fresh: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
 
-            played: Played = jax.tree.map(anew, fresh, state)
-            return played
-        env = jax.vmap(self.env.restart, (0, 0, 0, _axis(params)))(state.env, over, noise, params)
-        return Played(env, state.alive | over, jnp.where(over, 0.0, state.total))
+        played: Played = jax.tree.map(anew, self.start(noise, params), state)
+        return played
 
     def observe(self, state: Played, params: Tree) -> Seen:
         """Of the one agent, while it is alive."""
@@ -289,7 +284,7 @@ class Solo:
         """One step; what comes after a terminal state does not count."""
         step = jax.vmap(self.env.step, (0, 0, _axis(params)))
         new, reward, terminated = step(state.env, action[:, 0], params)
-        reward = jnp.where(state.alive, reward, 0.0).astype(jnp.float32)
+        reward = jnp.where(state.alive, 1.0 if self.counts else reward, 0.0).astype(jnp.float32)
         played = Played(new, state.alive & ~terminated, state.total + reward)
         return Moved(played, reward[:, None], (state.alive & terminated)[:, None])
 

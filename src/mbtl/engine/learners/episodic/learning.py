@@ -27,7 +27,6 @@ from mbtl.engine.learners.recipes import (
 )
 from mbtl.engine.worlds import random
 from mbtl.engine.worlds.environments import Length, Tree
-from mbtl.engine.worlds.rules import Rules
 from mbtl.engine.worlds.world import World, of_simulations
 from mbtl.errors import InvalidInput
 
@@ -76,7 +75,7 @@ def begun(world: World, recipe: EpisodicActorCritic, fresh: Weights) -> Weights:
     """
     if not recipe.begin:
         return fresh
-    if not isinstance(world, Rules):
+    if not hasattr(world, "rule"):
         raise InvalidInput(
             f"begin={recipe.begin!r} needs a world that knows rules, got {type(world).__name__}"
         )

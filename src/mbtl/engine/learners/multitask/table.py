@@ -5,21 +5,16 @@ on the context axis in grid steps, 0 <= p <= N - 1: a whole number is a context 
 and a context between two of them gets a mixture of their vectors. That is how both methods are
 carried over to a continuous axis.
 
-Networks with such a table find the place as the last number of an observation: `seen` makes
+Networks with such a table find the place as the last number of an observation: `loop.in_sets` makes
 it one more visible feature, so that environments, rollouts and evaluations need not know of it.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-
-from mbtl.engine.learners.recipes import MultiTaskRecipe
-from mbtl.engine.worlds.environments import Tree
 
 
 def rows_at(table: jax.Array, place: jax.Array) -> jax.Array:
@@ -41,11 +36,3 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
     position = np.linspace(0.0, 1.0, n_contexts)[:, None]
     hats = np.maximum(0.0, 1.0 - np.abs(position - knots) * (n_parts - 1))
     return hats.astype(np.float32)
-
-
-def seen(recipe: Any, params: Tree) -> Any:
-    """Contexts as the networks see them: those with a vector per context need their places."""
-    if not (isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors):
-        return params
-    column = np.arange(len(params.visible), dtype=np.float64)[:, None]
-    return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))

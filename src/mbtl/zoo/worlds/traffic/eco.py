@@ -670,7 +670,7 @@ class EcoTwin(Seeded):
         return replace(self, action=Box((0.0,), (1.0,)), law=law)
 
     def rule(self, name: str) -> Layers:
-        """See `mbtl.engine.worlds.rules.Rules`; they advise speeds."""
+        """See `mbtl.engine.worlds.world.World`; they advise speeds."""
         if self.law is None:
             raise InvalidInput(f"the rule {name!r} advises speeds; train with actions='speed'")
         return layers(name)
