@@ -265,7 +265,7 @@ class WorldTrainer:
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         policy = engine.export_policies(world, weights, self.learner.activation)[0]
-        each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
+        each = 1 if self.episodes is None else _decisions_of(world, params)
         return Trained(policy, int(training.updates) * self.update_length * each)
 
     def _whole(
@@ -316,7 +316,7 @@ class WorldTrainer:
         world, recipe = growing.world, growing.recipe
         n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
         file = _saved(world, state)
-        each: Any = () if by_steps else engine.counted.each_of(self.problem, contexts)
+        each: Any = () if by_steps else _each_of(self.problem, contexts)
 
         def played(updates: int) -> int:
             many = updates * unit
@@ -336,7 +336,8 @@ class WorldTrainer:
             training, before = file.inherited(begun) or (begun, 0)
             before += file.notes.get(_BEFORE, 0)
             spent = self._updates(done, unit)
-            training = _advanced(training, engine.Stage.of(spent).trunk if spent else 0)
+            on_trunk = engine.Stage.of(spent).trunk  # schedules follow the number of updates
+            training = training._replace(updates=training.updates + on_trunk)
             now = int(training.updates)
             file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, _BEFORE: before}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
@@ -486,7 +487,7 @@ class WorldTrainer:
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         returns = self.evaluate(policy, contexts, seeds)
-        steps = engine.counted.known_steps(self.problem, contexts, returns)
+        steps = _known_steps(self.problem, contexts, returns)
         if steps is None:
             steps = self.evaluate_many([policy], contexts, seeds, counting=True)[0]
         return returns, steps
@@ -593,9 +594,30 @@ class WorldTrainer:
         return MLPPolicy.load(Path(folder))
 
 
-def _advanced(training: Any, updates: int) -> Any:
-    """As if so many more updates were done; schedules follow their number."""
-    return training._replace(updates=training.updates + updates) if updates else training
+def _decisions_of(world: Any, params: Any) -> int:
+    """Decisions of an episode in one context; of the longest where a world ends when it ends."""
+    length = world.decisions(params)
+    return int(getattr(length, "decisions", length))
+
+
+def _each_of(problem: Problem, contexts: Sequence[Context]) -> Any:
+    """(T,) `_decisions_of` each context."""
+    return np.array([_decisions_of(*problem([one])) for one in contexts])
+
+
+def _known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -> Array | None:
+    """(T, E) steps of the episodes that had these returns; None: they must be counted.
+
+    A world of several agents says how long its episodes are.
+    """
+    world, _ = problem(list(contexts))
+    if not hasattr(world, "env"):
+        steps: Array = _each_of(problem, contexts)[:, None] + np.zeros_like(returns)
+        return steps
+    lasts = getattr(world.env, "lasts", None)
+    if lasts == "return":
+        return returns.copy()
+    return np.full(returns.shape, float(world.env.horizon)) if lasts == "horizon" else None
 
 
 def _saved(world: Any, state: Path | None) -> Any:

@@ -16,6 +16,7 @@ from poles import assert_same, first
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
+from mbtl.engine.learners.recipes import RECIPES as BY_COPIES
 from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
@@ -35,7 +36,7 @@ SMALL = {
 SMALL_Q = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 64, "hidden": (8,)}
 PPO = engine.PPORecipe(**BY_STEPS)
 KINDS = {
-    "steps": (engine.RECIPES, ("PPO fast", "A2C fast", "DQN fast")),
+    "steps": (BY_COPIES, ("PPO fast", "A2C fast", "DQN fast")),
     "episodes": (TWIN_RECIPES, ("TRPO paper", "PPO glide", "DQN fast")),
 }
 """A recipe of each learner: others of it differ in numbers only."""

@@ -9,7 +9,7 @@ pytest.importorskip("jax", reason="the jax extra is not installed")
 import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 
-from mbtl.engine.worlds.cache import VARIABLE, folder, keep_programs
+from mbtl.engine.worlds.flags import VARIABLE, folder, keep_programs
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from mbtl.engine.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.engine.learners.algorithms import recipe_named
-from mbtl.engine.learners.blocks import Block, Training, from_arrays, to_arrays
+from mbtl.engine.learners.blocks import Block, from_arrays, to_arrays
 from mbtl.engine.learners.episodic.episodes import Actor, actor_of, import_actor
 from mbtl.engine.learners.episodic.learning import episodes_met
 from mbtl.engine.learners.evaluation import (
@@ -28,43 +28,35 @@ from mbtl.engine.learners.growing import Growing, Stage
 from mbtl.engine.learners.loop import in_sets, start, train
 from mbtl.engine.learners.recipes import (
     MULTI_TASK,
-    RECIPES,
     A2CRecipe,
     DQNRecipe,
     MultiTaskRecipe,
     PPORecipe,
-    Recipe,
     multitask_recipe,
 )
 from mbtl.engine.learners.saving import SavedTraining, taking_over
-from mbtl.engine.worlds import counted
-from mbtl.engine.worlds.environments import Box, Discrete, Environment, Step
+from mbtl.engine.worlds.environments import Box, Discrete, Step
 from mbtl.engine.worlds.hosted import hosted
 from mbtl.engine.worlds.world import Solo, World, context_of, stack_params
 
 __all__ = [
     "MULTI_TASK",
-    "RECIPES",
     "A2CRecipe",
     "Actor",
     "Block",
     "Box",
     "DQNRecipe",
     "Discrete",
-    "Environment",
     "Growing",
     "MultiTaskRecipe",
     "PPORecipe",
-    "Recipe",
     "SavedTraining",
     "Solo",
     "Stage",
     "Step",
-    "Training",
     "World",
     "actor_of",
     "context_of",
-    "counted",
     "episodes_met",
     "evaluate",
     "evaluate_each",

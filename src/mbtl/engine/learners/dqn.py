@@ -25,29 +25,10 @@ from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, descended
 from mbtl.engine.learners.networks import Network, Weights
 from mbtl.engine.learners.recipes import DQNRecipe, EpisodicDQNRecipe
-from mbtl.engine.learners.rollout import start
-from mbtl.engine.worlds.copies import Copies, stepped
-from mbtl.engine.worlds.environments import Discrete, Tree
-from mbtl.engine.worlds.world import Solo, World
-from mbtl.errors import InvalidInput
-
-
-class State(NamedTuple):
-    """All of one training, as `rollout.State`, with two more.
-
-    Attributes:
-        weights: the network of action values as `actor`: the largest value is the action.
-        target: what `weights.actor` was when it was last copied.
-        replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
-            terminated. Visible context features are constants of a policy and not in it.
-    """
-
-    weights: Weights
-    target: Network
-    optimizer: Tree
-    replay: jax.Array
-    copies: Copies
-    key: jax.Array
+from mbtl.engine.learners.rollout import State, start
+from mbtl.engine.worlds.copies import stepped
+from mbtl.engine.worlds.environments import Tree
+from mbtl.engine.worlds.world import Solo
 
 
 class Batch(NamedTuple):
@@ -84,19 +65,10 @@ def init(
     Raises:
         InvalidInput: actions are not discrete.
     """
-    options(world)
-    if weights is None:
-        weights = networks.stack(fresh(world, recipe.hidden, seeds, params))
     begun = start(adam, world, recipe, seeds, params, weights)
-    target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
+    target = jax.tree.map(jnp.copy, begun.weights.actor)  # of its own: a block takes over both
     replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
-    return State(weights, target, begun.optimizer, replay, begun.copies, begun.key)
-
-
-def fresh(world: World, hidden: Sequence[int], seeds: Sequence[int], params: Tree) -> list[Weights]:
-    """A network of action values for each seed."""
-    widths = [world.n_features + params.visible.shape[-1], *hidden, options(world)]
-    return [networks.init_q_network(seed, widths) for seed in seeds]
+    return begun._replace(target=target, replay=replay)
 
 
 def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
@@ -162,7 +134,7 @@ def explore(
     total: jax.Array,
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
-    network, n, f = state.weights.actor, options(world), world.n_features
+    network, n, f = state.weights.actor, networks.options(world), world.n_features
 
     def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         t, coin = drawn
@@ -241,17 +213,3 @@ def loss(
     taken = batch.action[:, None] == jnp.arange(values.shape[-1])
     value = jnp.where(taken, values, 0.0).sum(axis=-1)
     return optax.losses.huber_loss(value, goals).mean()
-
-
-def options(world: World) -> int:
-    """How many actions there are.
-
-    Raises:
-        InvalidInput: they are not discrete.
-    """
-    if not isinstance(world.action, Discrete):
-        raise InvalidInput(
-            f"DQN must have discrete actions, got a box of {len(world.action.low)} dimensions; use "
-            "PPO or A2C"
-        )
-    return world.action.n

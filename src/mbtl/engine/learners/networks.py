@@ -17,9 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.engine.learners.recipes import Activation, ActorCritic
+from mbtl.engine.learners.recipes import Activation, ActorCritic, Learner
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
 from mbtl.engine.worlds.world import World
+from mbtl.errors import InvalidInput
 
 Network = tuple[tuple[jax.Array, jax.Array], ...]
 
@@ -77,11 +78,17 @@ def init_weights(
     )
 
 
-def fresh(
-    world: World, recipe: ActorCritic, seeds: Sequence[int], params: Tree, *more: float
-) -> list[Weights]:
-    """Weights of each policy as its recipe has them, `more` of `init_weights`."""
+def fresh(world: World, recipe: Learner, seeds: Sequence[int], params: Tree) -> list[Weights]:
+    """Weights of each policy as its recipe has them: with a critic, or values of actions alone.
+
+    Raises:
+        InvalidInput: there are values of actions, and those are not discrete.
+    """
     n_inputs = world.n_features + params.visible.shape[-1]
+    if not isinstance(recipe, ActorCritic):
+        widths = [n_inputs, *recipe.hidden, options(world)]
+        return [init_q_network(seed, widths) for seed in seeds]
+    more = (getattr(recipe, "critic_gain", 1.0), getattr(recipe, "first_action", 0.0))
     own = (n_inputs, world.action, recipe.hidden, recipe.log_std, *more)
     return [init_weights(seed, *own) for seed in seeds]
 
@@ -95,6 +102,20 @@ def begun(given: Any, fresh: Callable[[], Sequence[Weights]]) -> Any:
         return given
     new = stack(fresh())
     return new if given is None else given._replace(critic=new.critic)
+
+
+def options(world: World) -> int:
+    """How many actions there are.
+
+    Raises:
+        InvalidInput: they are not discrete.
+    """
+    if not isinstance(world.action, Discrete):
+        raise InvalidInput(
+            f"DQN must have discrete actions, got a box of {len(world.action.low)} dimensions; use "
+            "PPO or A2C"
+        )
+    return world.action.n
 
 
 def init_q_network(seed: int, widths: Sequence[int]) -> Weights:

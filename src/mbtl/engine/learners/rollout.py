@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.networks import Network
-from mbtl.engine.learners.recipes import A2CRecipe, ActorCritic, PPORecipe, WithCopies
+from mbtl.engine.learners.recipes import A2CRecipe, PPORecipe, WithCopies
 from mbtl.engine.worlds.copies import Copies, first_copies, stepped
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import Solo
@@ -33,6 +33,9 @@ class State(NamedTuple):
         copies: where the policy lives.
         key: its own random key.
         fresh: (2,) whether actor and critic have never learnt; () where nothing depends on it.
+        target: of DQN, what `weights.actor` was when it was last copied.
+        replay: of DQN, (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
+            terminated. Visible context features are constants of a policy and not in it.
     """
 
     weights: Any
@@ -40,6 +43,8 @@ class State(NamedTuple):
     copies: Copies
     key: jax.Array
     fresh: Tree = ()
+    target: Network | tuple[()] = ()
+    replay: Tree = ()
 
 
 class Noise(NamedTuple):
@@ -71,11 +76,9 @@ def start(
 ) -> State:
     """Networks, an optimiser without memory and freshly started copies of all policies.
 
-    Fresh networks are for actor-critics; `optimizer` makes what moves them from the recipe, and is
-    a module's function, since jax compiles it in.
+    `optimizer` makes what moves them from the recipe, and is a module's function: jax compiles it.
     """
-    if isinstance(recipe, ActorCritic):
-        weights = networks.begun(weights, partial(networks.fresh, world, recipe, seeds, params))
+    weights = networks.begun(weights, partial(networks.fresh, world, recipe, seeds, params))
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
     return cast(State, _start(world, recipe, optimizer, weights, roots, params))
 

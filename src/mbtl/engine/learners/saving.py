@@ -107,7 +107,7 @@ def _taken(state: Any) -> dict[str, Any]:
 
 
 def _begun_with(training: Training, given: dict[str, Any]) -> Training:
-    if "target" in training.state._fields:
+    if getattr(training.state, "target", ()):
         given["target"] = given["weights"].actor
     state = jax.tree.map(jnp.copy, training.state._replace(**given))
     return training._replace(state=state, best=jax.tree.map(jnp.copy, state.weights))

@@ -14,7 +14,6 @@ minibatches of B.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,26 +23,10 @@ from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam
 from mbtl.engine.learners.dqn import descend, fallen, unpacked
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.returns import Returns
+from mbtl.engine.learners.episodic.returns import Memory, Returns
 from mbtl.engine.learners.networks import Network, Weights
 from mbtl.engine.learners.recipes import EpisodicDQNRecipe
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
-
-
-class Memory(NamedTuple):
-    """What a policy keeps between updates beside its weights.
-
-    Attributes:
-        moments: of Adam.
-        returns: statistics of the rewards.
-        replay: (N, 2 f + 3) ring: seen before, seen after, action, raw reward, the life ended.
-        kept: decisions that have entered it.
-    """
-
-    moments: Tree
-    returns: Returns
-    replay: jax.Array
-    kept: jax.Array
 
 
 def start(recipe: EpisodicDQNRecipe, weights: Weights) -> Memory:
@@ -51,7 +34,7 @@ def start(recipe: EpisodicDQNRecipe, weights: Weights) -> Memory:
     moments = adam(recipe).init(ravel_pytree(weights.actor)[0])
     width = 2 * len(weights.actor[0][0]) + 3
     ring = jnp.zeros((recipe.buffer_size, width))
-    return Memory(moments, Returns.empty(), ring, jnp.int32(0))
+    return Memory(moments, Returns.empty(), replay=ring, kept=jnp.int32(0))
 
 
 def explored(recipe: EpisodicDQNRecipe, progress: jax.Array, values: jax.Array) -> jax.Array:
@@ -87,7 +70,7 @@ def learn(
     network, moments = jax.tree.map(partial(jnp.where, learnt), after, before)
     whole = jnp.where(jnp.isfinite(lived.score).all(), 1.0, jnp.nan)  # a simulation may be lost
     network = jax.tree.map(lambda x: x * whole, network)
-    return weights._replace(actor=network), Memory(moments, returns, replay, kept)
+    return weights._replace(actor=network), Memory(moments, returns, replay=replay, kept=kept)
 
 
 def entered(memory: Memory, lived: Episodes) -> tuple[jax.Array, jax.Array]:

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.engine.learners import dqn as q_learning
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.episodic import dqn, ppo, trpo
@@ -60,11 +59,10 @@ def init(
 
 def _fresh(world: World, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> list[Weights]:
     """Of each policy."""
+    each = networks.fresh(world, recipe, seeds, params)
     if isinstance(recipe, EpisodicActorCritic):
-        more = recipe.critic_gain, recipe.first_action
-        each = networks.fresh(world, recipe, seeds, params, *more)
-        return [begun(world, recipe, one) for one in each]
-    return q_learning.fresh(world, recipe.hidden, seeds, params)
+        each = [begun(world, recipe, one) for one in each]
+    return each
 
 
 def begun(world: World, recipe: EpisodicActorCritic, fresh: Weights) -> Weights:

@@ -70,11 +70,22 @@ class Returns(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a policy keeps between updates beside its weights; a penalty's weight only for PPO."""
+    """What a policy keeps between updates beside its weights.
+
+    Attributes:
+        moments: of Adam.
+        returns: statistics of the rewards.
+        kl_coef: of PPO, the weight of its penalty.
+        replay: of DQN, (N, 2 f + 3) ring: seen before, seen after, action, raw reward, the life
+            ended.
+        kept: of DQN, decisions that have entered it.
+    """
 
     moments: Tree
     returns: Returns
-    kl_coef: jax.Array | tuple[()] = ()
+    kl_coef: Tree = ()
+    replay: Tree = ()
+    kept: Tree = ()
 
 
 def advantages(
