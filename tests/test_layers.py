@@ -52,8 +52,8 @@ TOOL = [
 ]
 ENGINE = [
     "engine.elsewhere",
-    "engine.worlds",
     "engine.scene",
+    "engine.worlds",
     "engine.simulators",
     "engine.learners",
     "engine.lazy",

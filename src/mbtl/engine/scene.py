@@ -1,4 +1,4 @@
-"""One environment as a scene: its agents have places (`mbtl.engine.worlds.processes.Scene`).
+"""One environment as a scene, for a process of its own: its agents have places.
 
 It is a Gymnasium environment, whose agent has the only place, or a PettingZoo parallel one, whose
 agents come and go. What an episode is worth is as in `mbtl.envs.rollout`.
@@ -6,7 +6,7 @@ agents come and go. What an episode is worth is as in `mbtl.envs.rollout`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,12 @@ from mbtl.envs.slots import seated
 from mbtl.score import Score
 
 Sight = tuple[NDArray[np.float32], NDArray[np.bool_], bool, float]
-"""What `mbtl.engine.worlds.processes.Sight` holds; that module needs jax."""
-Step = tuple[Sight, NDArray[np.float32], NDArray[np.bool_]]
+"""A scene between two decisions: (A, f) observations, of places without an agent any; (A,) there is
+an agent, and it decides; whether the episode has ended; and what it is worth, once it has. An agent
+that decides at the end was cut off: its life had not ended."""
+
+_ALONE = "alone"
+"""The agent of a Gymnasium environment."""
 
 
 class EnvScene:
@@ -46,16 +50,32 @@ class EnvScene:
             self._env, self._context = self._make(dict(context)), dict(context)
         self._present: list[str | None] = [None] * self._places
         self._total = 0.0
-        first, _ = self._env.reset(seed=seed)
+        seen, _ = self._env.reset(seed=seed)
         if not self._is_team:
-            return self._alone(first, acts=True, over=False, info={})
-        over = not self._env.agents  # nobody ever has to decide
-        told = over and self._score is not None
-        return self._seen(first, over, self._worth(self._env.summary) if told else 0.0)
+            return self._seen({_ALONE: seen}, [_ALONE], 0.0)
+        told = not self._env.agents and self._score is not None  # nobody ever has to decide
+        return self._seen(seen, self._env.agents, self._worth(self._env.summary) if told else 0.0)
 
-    def step(self, action: NDArray[Any] | None) -> Step:
-        """One decision of all agents; None: nobody is told anything."""
-        return self._step_team(action) if self._is_team else self._step(action)
+    def step(
+        self, action: NDArray[Any] | None
+    ) -> tuple[Sight, NDArray[np.float32], NDArray[np.bool_]]:
+        """One decision of all agents, (A,) or (A, d); None: nobody is told anything.
+
+        Returns:
+            What is seen then, (A,) rewards, and whose life has ended.
+        """
+        places = {agent: k for k, agent in enumerate(self._present) if agent is not None}
+        told = {} if action is None else {agent: action[k] for agent, k in places.items()}
+        (seen, rewards, terminated, truncated, infos), agents = self._moved(told)
+        reward, done = np.zeros(self._places, np.float32), np.zeros(self._places, np.bool_)
+        for agent, k in places.items():
+            reward[k] = rewards[agent]
+            done[k] = terminated[agent]
+            if done[k] or (agent not in agents and not truncated[agent]):
+                self._present[k] = None
+        self._total += float(reward.sum())
+        info: Mapping[str, Any] = next(iter(infos.values()), {})
+        return self._seen(seen, agents, 0.0 if agents else self._worth(info)), reward, done
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -63,41 +83,25 @@ class EnvScene:
     def _is_team(self) -> bool:
         return hasattr(self._env, "possible_agents")
 
-    def _step(self, action: NDArray[Any] | None) -> Step:
-        moved = self._env.drive() if action is None else self._env.step(action[0])
-        seen, reward, terminated, truncated, info = moved
-        self._total += float(reward)
-        sight = self._alone(seen, not terminated, terminated or truncated, info)
-        return sight, np.array([reward], np.float32), np.array([terminated], np.bool_)
-
-    def _alone(self, seen: Any, acts: bool, over: bool, info: Mapping[str, Any]) -> Sight:
-        score = self._worth(info) if over else 0.0
-        return np.asarray(seen, np.float32)[None], np.array([acts]), bool(over), score
-
-    def _step_team(self, action: NDArray[Any] | None) -> Step:
-        places = {agent: k for k, agent in enumerate(self._present) if agent is not None}
-        told = {} if action is None else {agent: action[k] for agent, k in places.items()}
-        seen, rewards, terminated, truncated, infos = self._env.step(told)
-        reward, done = np.zeros(self._places, np.float32), np.zeros(self._places, np.bool_)
-        for agent, k in places.items():
-            reward[k] = rewards[agent]
-            done[k] = terminated[agent]
-            if done[k] or (agent not in self._env.agents and not truncated[agent]):
-                self._present[k] = None
-        self._total += float(reward.sum())
-        over = not self._env.agents
-        info: Mapping[str, Any] = next(iter(infos.values()), {})
-        return self._seen(seen, over, self._worth(info) if over else 0.0), reward, done
+    def _moved(self, told: Mapping[str, Any]) -> tuple[Any, list[str]]:
+        """What a step gives by agent, and the agents that are there then."""
+        if self._is_team:
+            return self._env.step(told), self._env.agents
+        moved = self._env.step(told[_ALONE]) if told else self._env.drive()
+        _, _, terminated, truncated, _ = moved
+        return [{_ALONE: x} for x in moved], [] if terminated or truncated else [_ALONE]
 
     def _worth(self, info: Mapping[str, Any]) -> float:
         return self._total if self._score is None else self._score.read(info)
 
-    def _seen(self, seen: Mapping[str, Any], over: bool, score: float) -> Sight:
-        seated(self._present, self._env.agents)
-        size = self._env.observation_space("").shape
+    def _seen(self, seen: Mapping[str, Any], agents: Sequence[str], score: float) -> Sight:
+        seated(self._present, agents)
+        size = (
+            self._env.observation_space("") if self._is_team else self._env.observation_space
+        ).shape
         obs = np.zeros((self._places, *size), np.float32)
         for k, agent in enumerate(self._present):
             if agent is not None:
                 obs[k] = seen[agent]
         acting = np.array([agent is not None for agent in self._present])
-        return obs, acting, over, score
+        return obs, acting, not agents, score

@@ -336,15 +336,15 @@ class WorldTrainer:
             training, before = file.inherited(begun) or (begun, 0)
             before += file.notes.get(_BEFORE, 0)
             spent = self._updates(done, unit)
-            on_trunk = engine.Stage.of(spent).trunk  # schedules follow the number of updates
+            on_trunk, _ = engine.stage(spent)  # schedules follow the number of updates
             training = training._replace(updates=training.updates + on_trunk)
             now = int(training.updates)
             file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, _BEFORE: before}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
         growing = growing._replace(before=file.notes[_BEFORE])
         planned = max(self._updates(length, unit), spent)
-        stage = engine.Stage.of(planned - spent)
-        branch, end = stage.branch, begin + stage.trunk
+        further, branch = engine.stage(planned - spent)
+        end = begin + further
         if planned == spent:  # there already; the policy is the one that it had
             branch = file.notes.get(_BRANCH, 0)
 
@@ -404,11 +404,11 @@ class WorldTrainer:
         spent = 0
         for mark in marks:
             planned = self._updates(mark, unit)
-            stage, spent = engine.Stage.of(planned - spent), planned
+            (further, branch), spent = engine.stage(planned - spent), planned
             if mark <= done:
                 continue
-            training = growing.along(training, int(training.updates) + stage.trunk, on_block)
-            weights = growing.end(training, stage.branch, on_block)
+            training = growing.along(training, int(training.updates) + further, on_block)
+            weights = growing.end(training, branch, on_block)
             yield mark, growing.policies(weights), training
 
     def grown_from_scratch(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:

@@ -1,10 +1,14 @@
-"""CartPoles to learn on, and how trees of arrays are compared."""
+"""CartPoles to learn on, and how policies and trees of arrays are compared."""
 
 import jax
 import numpy as np
 
 import mbtl.engine.learners as engine
 from mbtl.zoo.cmdps import cartpole
+
+AS_SHIPPED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+"""`compiler_options` of `jax.jit` for tests of equal bits: as for users; `make test` rounds
+otherwise. They go before XLA_FLAGS."""
 
 
 def params_of(env, lengths):
@@ -35,3 +39,12 @@ def same(one, other):
 def assert_same(one, other):
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def apart(one, other):
+    """How far the weights of two policies are from each other."""
+    return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
+
+
+def same_policy(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))

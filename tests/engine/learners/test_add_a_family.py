@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
 from mbtl.zoo.benchmark.build import Build
 
 PAGE = Path(__file__).parents[3] / "docs" / "add-a-family.md"

@@ -2,21 +2,15 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import jax
-import jax.numpy as jnp
 
 from mbtl.engine.learners.blocks import (
     Schedule,
     beginning,
-    from_arrays,
     in_blocks,
     keep_better,
-    to_arrays,
 )
 from mbtl.engine.learners.networks import Weights
 from mbtl.errors import TrainingFailed
@@ -61,39 +55,6 @@ def test_the_best_is_that_of_the_best_evaluation_the_earliest_of_equals():
     assert one.calls == [steps // 100 for steps in told] == list(range(4, 41, 4))
     assert number(ended.best) == 8.0
     assert number(ended.state.weights) == 40.0
-
-
-def test_a_training_ends_early_where_nothing_is_left_to_gain():
-    one = Counter({8: 1.0})
-    in_blocks(
-        Schedule(40, 4, 1),
-        one.start(),
-        *one.both(),
-        nothing_to_gain=lambda training: float(training.best_return[0]) >= 1.0,
-    )
-    assert one.calls == [4, 8]
-
-
-def test_a_training_goes_on_from_its_arrays():
-    whole, first, second = Counter({8: 2.0, 16: 3.0}), Counter({8: 2.0}), Counter({16: 3.0})
-    schedule = Schedule(40, 4, 1)
-    expected = in_blocks(schedule, whole.start(), *whole.both())
-
-    class Stopped(Exception):
-        pass
-
-    saved = {}
-
-    def stop(block):
-        saved.update(to_arrays(block.training))
-        if block.steps == 12:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        in_blocks(schedule, first.start(), *first.both(), stop)
-    resumed = in_blocks(schedule, from_arrays(second.start(), saved), *second.both())
-    for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(resumed), strict=True):
-        assert np.array_equal(a, b)
 
 
 def test_whoever_goes_on_from_the_end_is_told_once():

@@ -1,14 +1,9 @@
 """DQN on whole episodes: how it explores, what it keeps and learns, and its place in the loop."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pytest
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
@@ -89,13 +84,6 @@ def test_a_time_limit_that_is_an_end_is_known():
     np.testing.assert_array_equal(ends, [0.0] * (D * A - A) + [1.0] * A)
 
 
-def test_of_more_decisions_than_places_the_latest_stay():
-    recipe, weights, lived = setting(EVERYBODY, buffer_size=4)
-    replay, kept = dqn.entered(dqn.start(recipe, weights), lived)
-    assert int(kept) == 10  # so the next place is the third
-    np.testing.assert_array_equal(replay[:, :2], lived.obs[jnp.array([8, 9, 6, 7])])
-
-
 def test_the_oldest_make_room():
     recipe, weights, lived = setting(EVERYBODY)
     memory = dqn.start(recipe, weights)
@@ -105,17 +93,6 @@ def test_the_oldest_make_room():
     assert int(memory.kept) == 20  # in 16 places: the ring begins with the last four
     np.testing.assert_array_equal(memory.replay[:4, :2], lived.obs[6:10])
     np.testing.assert_array_equal(memory.replay[4:10, :2], lived.obs[4:10])
-
-
-def test_values_become_what_actions_earn():
-    recipe, weights, lived = setting(EVERYBODY)
-    memory = dqn.start(recipe, weights)
-    for number in range(20):
-        weights, memory = learn(CHOICES, recipe, weights, memory, lived, clock(number))
-    values = networks.apply(weights.actor, lived.obs, recipe.activation)
-    seen = np.arange(D * A - A)  # the last decisions are not known to their end
-    taken = np.asarray(lived.action).reshape(-1)[seen]
-    np.testing.assert_allclose(np.asarray(values)[seen, taken], taken, atol=0.1)
 
 
 def test_an_end_is_worth_nothing_and_a_life_that_goes_on_is():
@@ -133,14 +110,6 @@ def test_an_end_is_worth_nothing_and_a_life_that_goes_on_is():
         weights, memory = learn(CHOICES, recipe, weights, memory, lived, clock(number))
     values = networks.apply(weights.actor, jnp.eye(2), recipe.activation)[:, 0]
     np.testing.assert_allclose(values, [1.5, 1.0], atol=0.05)
-
-
-def test_where_nobody_acts_nothing_is_learnt():
-    recipe, weights, lived = setting(jnp.zeros_like(EVERYBODY))
-    new, memory = learn(CHOICES, recipe, weights, dqn.start(recipe, weights), lived, clock(0))
-    assert int(memory.kept) == 0
-    for a, b in zip(*map(jax.tree.leaves, (weights, new)), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_a_lost_simulation_fails_the_training():

@@ -1,34 +1,17 @@
 """One policy for all contexts of a twin: which ones an update meets, and whole trainings."""
 
 from dataclasses import replace
-from functools import partial
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
-import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
-import jax
-import jax.numpy as jnp
-
-from mbtl.engine.learners.clock import Pace, clock_at
-from mbtl.engine.learners.episodic import learning
-from mbtl.engine.learners.episodic.episodes import record
 from mbtl.engine.learners.episodic.learning import contexts_met
-from mbtl.engine.learners.recipes import TRPORecipe
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 
 HOLDS = [{"hold": 20.0}, {"hold": 28.0}, {"hold": 40.0}]
 SMALL = {"n_episodes": 2, "hidden": (8,)}
-RECIPE = TRPORecipe(**SMALL, normalize_reward=False)
-
-
-def ring(contexts=HOLDS):
-    trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for("quick")
-    return trainer.problem(contexts)
 
 
 def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
@@ -42,31 +25,6 @@ def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
         assert (abs(counts - 240) < 5 * np.sqrt(400 * 0.6 * 0.4)).all()
     more = np.array(contexts_met(seeds, jnp.uint32(0), 5, 12))  # more episodes than contexts
     assert (np.sort(np.bincount(more[0])) == [2, 2, 2, 3, 3]).all()
-
-
-def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
-    world, params = ring()
-    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
-    state = engine.start(world, RECIPE, [5], all_of_them).state
-    lived = []
-
-    class Lived(Exception):
-        pass
-
-    def kept(*arguments, hold):
-        lived.append(jax.jit(partial(record, hold=hold), static_argnums=(0, 1, 2))(*arguments))
-        raise Lived  # what is learnt of it is another test's
-
-    monkeypatch.setattr(learning, "record", kept)
-    beats = world.decisions(params)
-    clock = clock_at(jnp.int32(3), Pace.endless(4))
-    with pytest.raises(Lived):
-        learning.update(world, RECIPE, beats, state, all_of_them, clock)
-    met = np.asarray(contexts_met(state.seed, jnp.uint32(3), 3, 2))[0]
-    decided = np.asarray(lived[0].acting[0]).any(axis=-1).sum(axis=0)
-    np.testing.assert_array_equal(decided, np.array([20, 15, 10])[met])
-    told = np.asarray(lived[0].obs[0])[np.asarray(lived[0].row[0])[-1, :, 0], -1]
-    np.testing.assert_allclose(told, np.asarray(params.visible)[met, 0])
 
 
 def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):

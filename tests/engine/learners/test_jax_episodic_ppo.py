@@ -2,15 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pytest
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
@@ -21,8 +16,6 @@ from mbtl.engine.learners.networks import kl
 from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe
 from mbtl.engine.worlds.environments import Box
 from mbtl.errors import InvalidInput
-from mbtl.problems import get_cmdp
-from mbtl.zoo.cmdps.traffic.eco import LIMIT
 
 BOX = Box((-1.0,), (1.0,))
 D, A = 60, 3
@@ -105,17 +98,13 @@ def test_it_moves_towards_what_paid_and_stops_when_far():
     assert 0.0 < shift < larger
 
 
-@pytest.mark.parametrize(("target_kl", "factor"), [(1e-9, 1.5), (10.0, 0.5)])
-def test_the_penalty_follows_the_kl(target_kl, factor):
-    recipe, weights, lived = setting(EVERYBODY, target_kl=target_kl, kl_coef=0.1)
+@pytest.mark.parametrize(
+    ("target_kl", "before", "after"), [(1e-9, 0.1, 0.15), (10.0, 0.1, 0.05), (1e-9, 0.0, 0.0)]
+)
+def test_the_penalty_follows_the_kl_and_none_stays_none(target_kl, before, after):
+    recipe, weights, lived = setting(EVERYBODY, target_kl=target_kl, kl_coef=before)
     _, memory = updated(recipe, weights, lived)
-    assert float(memory.kl_coef) == pytest.approx(0.1 * factor)
-
-
-def test_no_penalty_stays_none():
-    recipe, weights, lived = setting(EVERYBODY, target_kl=1e-9, kl_coef=0.0)
-    _, memory = updated(recipe, weights, lived)
-    assert float(memory.kl_coef) == 0.0
+    assert float(memory.kl_coef) == pytest.approx(after)
 
 
 def test_updates_draw_other_rows():
@@ -148,48 +137,6 @@ def test_a2c_is_one_step_along_the_policy_gradient():
         np.testing.assert_allclose(np.abs(before - after)[clear], recipe.learning_rate, rtol=0.05)
 
 
-def test_a_learning_rate_that_falls_is_half_of_itself_halfway():
-    _, weights, lived = setting(EVERYBODY)
-    recipe = replace(TWIN_RECIPES["A2C"]["fast"], rows=D * A, hidden=(8,))
-
-    def step(anneal, number):
-        new, _ = updated(replace(recipe, anneal=anneal), weights, lived, number)
-        return np.asarray(new.actor[0][1] - weights.actor[0][1])
-
-    np.testing.assert_array_equal(step(True, 0), step(False, 0))
-    np.testing.assert_allclose(step(True, 5), step(False, 5) / 2.0, rtol=1e-3)
-
-
 def test_minibatches_must_fill_the_rows():
     with pytest.raises(InvalidInput, match="rows = 100"):
         EpisodicPPORecipe(rows=100, minibatches=40)
-
-
-def test_the_ring_is_trained_by_it_too():
-    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(
-        "quick", algorithm="PPO", recipe_name="fast", episodes=4, eval_episodes=2,
-        checkpoint_episodes=2,
-        hyperparameters={"n_episodes": 2, "rows": 32, "minibatches": 4, "hidden": (8,)},
-    )  # fmt: skip
-    heard = []
-    policy = trainer.train([{"hold": 20.0}], 1, on_progress=heard.append).policy
-    assert [progress.step for progress in heard] == [2, 4]
-    (scores,) = trainer.evaluate(policy, [{"hold": 20.0}], [2])
-    assert scores.shape == (2,)
-    assert ((scores > 0.0) & (scores < 4.5)).all()
-
-
-@pytest.mark.long
-def test_contexts_of_eco_driving_are_trained_together():
-    trainer = get_cmdp("eco-green", engine="jax").trainer_for(
-        "quick", episodes=2, eval_episodes=2, checkpoint_episodes=1
-    )
-    contexts = [{"green": 10.0}, {"green": 45.0}]
-    assert trainer.lanes > 1
-    policies = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
-    scores = trainer.evaluate_many(policies, contexts, [3, 4])
-    assert scores.shape == (2, 2, 2)
-    assert ((scores > 0.0) & (scores < LIMIT)).all()
-    assert not np.array_equal(policies[0].weights[0], policies[1].weights[0])
-    reversed_scores = trainer.evaluate_many(policies[::-1], contexts, [3, 4])
-    np.testing.assert_allclose(reversed_scores, scores[::-1], rtol=1e-5)

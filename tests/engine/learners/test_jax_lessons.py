@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("pettingzoo", reason="the traffic extra is not installed")
 
-import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
 
+import mbtl.engine.learners as engine
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.episodic.episodes import Actor, record
 from mbtl.engine.learners.export import lawful

@@ -3,20 +3,14 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.episodic.episodes import Actor, measures, record
 from mbtl.engine.worlds import random
 from mbtl.engine.worlds.environments import Box
-from mbtl.engine.worlds.packing import Agents, chunk_size, most_rows
 from mbtl.engine.worlds.world import Moved, Seeded, Seen, everyone
 
 BOX = Box((-1.0,), (1.0,))
@@ -100,22 +94,6 @@ def setting(policies=2, episodes=3):
 
 
 recorded = jax.jit(record, static_argnums=(0, 1, 2))
-
-
-@pytest.mark.parametrize("share", SHARES)
-def test_every_agent_is_in_one_chunk_at_its_own_place(share):
-    rng = np.random.default_rng(0)
-    acting = rng.random((3, 4, 5)) < share
-    agents, size = Agents.of(jnp.asarray(acting)), chunk_size(20)
-    counts = acting.sum(axis=(1, 2))
-    assert int(agents.most) == counts.max()
-    for policy in range(3):
-        found = []
-        for start in range(0, most_rows(20), size):
-            simulation, place = (np.asarray(x)[policy] for x in agents.chunk(start, size))
-            found += zip(simulation.tolist(), place.tolist(), strict=True)
-        expected = [(4 * policy + e, a) for e, a in np.argwhere(acting[policy]).tolist()]
-        assert found[: counts[policy]] == expected
 
 
 def test_packed_agents_live_as_if_networks_had_seen_all_places():

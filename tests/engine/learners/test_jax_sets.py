@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
+from poles import apart, same_policy
 
 import mbtl.engine.learners as engine
 from mbtl.errors import InvalidInput
@@ -18,10 +15,6 @@ TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for("quick", eval_ep
 CONTEXTS = [{"length": length} for length in (0.2, 0.5, 1.0, 1.5)]
 
 
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
-
-
 def to(updates, saved=None, **more):
     return TRAINER.train(CONTEXTS, 3, length=updates * UNIT / TRAINER.whole, state=saved, **more)
 
@@ -30,37 +23,9 @@ def test_a_training_on_a_set_is_extended_and_is_whole_of_one_unit(tmp_path):
     file = tmp_path / "training.npz"
     first, second = to(2, file), to(4, file)
     assert (first.steps, second.steps) == (2 * UNIT, 4 * UNIT)
-    assert not same(first.policy, second.policy)
+    assert not same_policy(first.policy, second.policy)
     small = replace(TRAINER, timesteps=2 * UNIT)
-    assert same(small.train(CONTEXTS, 3).policy, small.train(CONTEXTS, 3, length=1.0).policy)
-
-
-def test_it_goes_on_from_a_policy_where_its_state_is_lost(tmp_path):
-    first, file = to(2), tmp_path / "training.npz"
-    lost = {"start": first.policy, "done": 2 * UNIT / TRAINER.whole}
-    third = to(3, file, **lost)
-    assert third.steps == 3 * UNIT
-    assert same(third.policy, to(3, **lost).policy)
-    assert not same(third.policy, to(3).policy)
-
-
-def test_a_training_on_a_set_goes_on_from_its_file_after_a_kill(tmp_path, monkeypatch):
-    monkeypatch.setattr("mbtl.engine.learners.saving._SECONDS", 0.0)
-
-    class Killed(Exception):
-        pass
-
-    told = []
-
-    def kill(progress):
-        told.append((progress.step, progress.total))
-        if progress.step >= 4 * UNIT:
-            raise Killed
-
-    with pytest.raises(Killed):
-        to(10, tmp_path / "training.npz", on_progress=kill)
-    assert told[-1] == (4 * UNIT, 10 * UNIT)
-    assert same(to(10, tmp_path / "training.npz").policy, to(10).policy)
+    assert same_policy(small.train(CONTEXTS, 3).policy, small.train(CONTEXTS, 3, length=1.0).policy)
 
 
 def test_many_are_trained_at_once_as_each_of_them_alone():
@@ -74,25 +39,11 @@ def test_many_are_trained_at_once_as_each_of_them_alone():
         for a, b in zip(policy.weights, alone.weights, strict=True):
             np.testing.assert_allclose(a, b, atol=1e-3)
     assert int(trunk.updates) == 4  # a branch of a fifth of two updates is none
-
-
-def test_copies_take_over_networks_and_optimiser_of_their_parents():
-    unit = UNIT / TRAINER.whole
-    *_, (_, parents, trunk) = TRAINER.grow_many([CONTEXTS] * 2, [3, 4], [3 * unit])
-    tuned = {"parents": trunk, "which": [1, 0]}
-    alone = [[CONTEXTS[0]], [CONTEXTS[3]]]
-    growing = TRAINER._growing(alone, [5, 6])
-    begun = engine.taking_over(growing.start(), trunk, [1, 0])
-    for mine, theirs in zip(begun.state.weights.actor, trunk.state.weights.actor, strict=True):
+    growing = TRAINER._growing([[CONTEXTS[0]], [CONTEXTS[3]]], [5, 6])
+    begun = engine.taking_over(growing.start(), trunk, [1, 0]).state  # of copies
+    for mine, theirs in zip(begun.weights.actor, trunk.state.weights.actor, strict=True):
         np.testing.assert_array_equal(mine[0], np.asarray(theirs[0])[[1, 0]])
-    assert float(np.abs(np.asarray(begun.state.optimizer[1].nu)).sum()) > 0
-    ((_, policies, _),) = TRAINER.grow_many(alone, [5, 6], [0.01], **tuned)
-    ((_, fresh, _),) = TRAINER.grow_many(alone, [5, 6], [0.01])
-
-    def moved(some, other):
-        return max(abs(a - b).max() for a, b in zip(some.weights, other.weights, strict=True))
-
-    assert 0 < moved(policies[0], parents[1]) < moved(fresh[0], parents[1])
+    assert float(np.abs(np.asarray(begun.optimizer[1].nu)).sum()) > 0
 
 
 def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(tmp_path):
@@ -106,13 +57,10 @@ def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(tmp_path):
     inherited = TRAINER.train(CONTEXTS[:1], 5, state=file, **given).policy
     without = TRAINER.train(CONTEXTS[:1], 5, **given).policy
 
-    def moved(one, other):
-        return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
-
     assert "inherit" in TRAINER.takes
-    assert moved(inherited, wanted) < 1e-3 < moved(without, wanted)
+    assert apart(inherited, wanted) < 1e-3 < apart(without, wanted)
     again = TRAINER.train(CONTEXTS[:1], 5, state=file, **given).policy  # the file is the copy's now
-    assert same(again, inherited)
+    assert same_policy(again, inherited)
 
 
 def test_what_cannot_be_trained_on_a_set_is_refused():

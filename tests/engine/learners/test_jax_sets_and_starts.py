@@ -3,18 +3,14 @@
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
 import jax
 import jax.numpy as jnp
+import numpy as np
 import poles
+import pytest
 from poles import assert_same
 
-import mbtl.engine.learners as engine  # before jax: it sets jax's flags
+import mbtl.engine.learners as engine
 from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.errors import InvalidInput
@@ -28,23 +24,6 @@ SMALL_REPLAY = engine.DQNRecipe(n_envs=2, buffer_size=800, learning_starts=0)
 
 
 # ---- sets ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.long
-def test_a_set_of_equal_contexts_is_the_context():
-    """Random numbers and learning are the same, so only rounding differs."""
-    sets = engine.train(
-        CARTPOLE,
-        ON_SETS,
-        [3, 7],
-        params_of([[0.5] * 4, [0.1] * 4]),
-        192,
-        checkpoint_episodes=4,
-    )
-    points = engine.train(CARTPOLE, TINY, [3, 7], params_of([0.5, 0.1]), 192, checkpoint_episodes=4)
-    for a, b in zip(jax.tree.leaves(sets.best), jax.tree.leaves(points.best), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
-    np.testing.assert_allclose(sets.best_return, points.best_return)
 
 
 def test_each_policy_plays_all_of_its_own_set_and_nothing_else():

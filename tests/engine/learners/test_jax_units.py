@@ -3,10 +3,6 @@
 import math
 
 import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl.engine.learners as engine
 from mbtl.engine.learners import networks

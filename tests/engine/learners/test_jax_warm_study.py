@@ -3,10 +3,7 @@
 import shutil
 
 import numpy as np
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+from poles import same_policy
 
 from flat import created, ran
 from mbtl.problems import get_cmdp
@@ -33,10 +30,6 @@ def policies(study):
     ]  # fmt: skip
 
 
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
-
-
 def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
     calm, stops, interrupts = opened(tmp_path / "calm"), Stops(), 0
     ran(calm, report=False)
@@ -49,7 +42,7 @@ def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
     assert interrupts == 2
     assert [row.goes_on for row in study.state.rows] == [False, False, True]
     undisturbed, disturbed = policies(calm), policies(study)
-    assert all(same(a, b) for a, b in zip(undisturbed, disturbed, strict=True))
+    assert all(same_policy(a, b) for a, b in zip(undisturbed, disturbed, strict=True))
     for one, other in zip(calm.state.rows, study.state.rows, strict=True):
         np.testing.assert_array_equal(one.returns, other.returns)
     tuned, context = study.pick(1), [study.space.context(0)]
@@ -57,5 +50,5 @@ def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
     parent, file = study.state.rows[0], tmp_path / "inherited"
     shutil.copy(study.artifacts.read(parent.state, parent.state_sha256) / "state", file)
     alone = calm.trainer.train(context, tuned.seed, length=0.5, start=start, state=file).policy
-    assert same(alone, disturbed[1])
-    assert not same(calm.trainer.train(context, tuned.seed, length=0.5).policy, alone)
+    assert same_policy(alone, disturbed[1])
+    assert not same_policy(calm.trainer.train(context, tuned.seed, length=0.5).policy, alone)

@@ -2,12 +2,8 @@
 
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
+import pytest
 
 from mbtl.engine.worlds.flags import VARIABLE, folder, keep_programs
 

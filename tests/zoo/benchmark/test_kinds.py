@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-import mbtl.engine.learners as engine
 from mbtl.cli.app import app
 from mbtl.errors import InvalidInput, StorageError, UnknownName
 from mbtl.problems import get_cmdp
@@ -85,16 +84,6 @@ def test_each_number_is_of_the_training_and_the_episodes_that_it_says(built):
     seed = training_seed(1, MATRIX_TRIAL, range(4))
     policy = trainer.train(contexts, seed, length=0.5).policy
     np.testing.assert_allclose(data.generalists[0.5][1], halves(policy), rtol=2e-3)
-
-
-def test_an_accelerator_plays_the_same_episodes(built, monkeypatch):
-    one, _ = built
-    part = one.parts(("specialists",))[0]
-    actor = one._actor(part, 1.0)
-    there = one._played(actor, part.lanes, None)
-    monkeypatch.setattr(engine, "on_cpu", lambda: False)
-    monkeypatch.setattr(building, "_PAIRS", 50)
-    np.testing.assert_allclose(one._played(actor, part.lanes, None), there, rtol=1e-4)
 
 
 def test_an_interrupted_build_goes_on_where_it_was(built, tmp_path, monkeypatch):

@@ -16,7 +16,6 @@ from mbtl.engine.learners.episodic.episodes import Actor, actor_of, import_actor
 from mbtl.engine.learners.episodic.learning import episodes_met
 from mbtl.engine.learners.evaluation import (
     evaluate,
-    evaluate_each,
     joined,
     measured,
     on_cpu,
@@ -24,7 +23,7 @@ from mbtl.engine.learners.evaluation import (
     taken,
 )
 from mbtl.engine.learners.export import export_policies, taught
-from mbtl.engine.learners.growing import Growing, Stage
+from mbtl.engine.learners.growing import Growing, stage
 from mbtl.engine.learners.loop import in_sets, start, train
 from mbtl.engine.learners.recipes import (
     MULTI_TASK,
@@ -52,14 +51,12 @@ __all__ = [
     "PPORecipe",
     "SavedTraining",
     "Solo",
-    "Stage",
     "Step",
     "World",
     "actor_of",
     "context_of",
     "episodes_met",
     "evaluate",
-    "evaluate_each",
     "export_policies",
     "from_arrays",
     "hosted",
@@ -72,6 +69,7 @@ __all__ = [
     "recipe_named",
     "reference_returns",
     "stack_params",
+    "stage",
     "start",
     "taken",
     "taking_over",

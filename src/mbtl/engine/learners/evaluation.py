@@ -12,7 +12,7 @@ A world may know that luck is of K kinds. Then an episode is one of each, and wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -35,6 +35,9 @@ CPU_ROWS = 400
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
+
+DEVICE_CROWDS = 1 << 17
+"""Simulations of a world that is not `apart` that an accelerator plays together."""
 
 
 def on_cpu() -> bool:
@@ -107,6 +110,9 @@ def evaluate(
         return np.concatenate([each(some) for some in parts], axis=-1)
     params, shares = of_each_kind(world, params)
     own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
+    if not (world.apart or most or on_cpu()):
+        found = _pairs(world, activation, how, actor, own, params)
+        return merged(found.reshape(n_policies, n_contexts, n_episodes), shares)
     fitting = CPU_ROWS if world.apart else n_policies * n_episodes
     rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
     width = min(n_episodes * (n_contexts if world.apart else 1), rows)  # of a policy
@@ -132,51 +138,18 @@ def evaluate(
     return merged(returns, shares)
 
 
-def evaluate_each(
-    world: World,
-    actor: Actor,
-    params: Tree,
-    where: NDArray[np.intp],
-    seeds: NDArray[np.uint32],
-    *,
-    activation: Activation = "tanh",
-    how: Acting = "mean",
-    rows: int = DEVICE_ROWS,
-    on_block: Callable[[int, int], None] | None = None,
+def _pairs(
+    world: World, activation: Activation, how: Acting, actor: Actor, seeds: Any, params: Tree
 ) -> Array:
-    """As `evaluate`, each policy on contexts and episodes of its own: for accelerators.
-
-    Args:
-        world: the dynamics.
-        actor: of P policies, leading axis.
-        params: of contexts, likewise.
-        where: (P, C) of them, of each policy.
-        seeds: (P, C, E) of the episodes.
-        activation: between the layers of the actors.
-        how: actions follow from a policy.
-        rows: episodes at a time.
-        on_block: called with (pairs of policy and context done, planned) now and then.
-
-    Returns:
-        (P, C, E).
-    """
-    params, shares = of_each_kind(world, params)
-    kinds = shares.shape[1]
-    places = (where[..., None] * kinds + np.arange(kinds)).reshape(-1)
-    who = np.repeat(np.arange(len(where)), where.shape[1] * kinds)
-    own = np.repeat(seeds.reshape(-1, seeds.shape[-1]), kinds, axis=0)
-    step = min(len(who), max(1, rows // seeds.shape[-1]))
-    found = []
+    """(P x C, E) scores of every policy on every context, many of these pairs together."""
+    who, where = np.indices((len(actor.log_std), len(seeds))).reshape(2, -1)
+    step, found = min(len(who), max(1, DEVICE_CROWDS // seeds.shape[1])), []
     for first in range(0, len(who), step):
-        whose, at, episodes = _take((who, places, own), first, step, len(who))
-        some, there = taken(actor, whose), taken(params, at)
-        part = own_measures(world, activation, how, some, episodes, there)["score"]
+        own, at = _take((who, where), first, step, len(who))
+        some, there = taken(actor._replace(critic=()), own), taken(params, at)
+        part = own_measures(world, activation, how, some, seeds[at], there)["score"]
         found.append(np.asarray(part)[: len(who) - first])
-        if on_block is not None:
-            on_block(min(first + step, len(who)), len(who))
-    each = np.concatenate(found).reshape(*where.shape, kinds, -1)
-    mean: Array = np.einsum("pcke,pck->pce", each, shares[where])
-    return mean
+    return np.concatenate(found)
 
 
 def of_each_kind(world: Any, params: Any) -> tuple[Any, Array]:

@@ -35,17 +35,13 @@ SLOWING = 0.1
 """Units after which the rate along the trunk has fallen by sqrt(2) (evidence/schedules.py)."""
 
 
-class Stage(NamedTuple):
-    """Updates along the trunk, and along the branch that leaves it at their end."""
+def stage(updates: int) -> tuple[int, int]:
+    """Of so many updates those along the trunk, and those along the branch that leaves it then.
 
-    trunk: int
-    branch: int
-
-    @classmethod
-    def of(cls, updates: int) -> Stage:
-        """So many in all; a single one is all trunk."""
-        branch = round(SHARE * updates)
-        return cls(updates - branch, branch)
+    A single one is all trunk.
+    """
+    branch = round(SHARE * updates)
+    return updates - branch, branch
 
 
 class Growing(NamedTuple):

@@ -17,43 +17,23 @@ import os
 import pickle
 import warnings
 from collections import namedtuple
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental import io_callback
-from numpy.typing import NDArray
 
 from mbtl.engine.elsewhere import Elsewhere
+from mbtl.engine.scene import EnvScene, Sight
 from mbtl.engine.worlds.environments import Box, Discrete, TimeLimit, Tree
 from mbtl.engine.worlds.world import Moved, Seeded, Seen
 from mbtl.errors import InvalidInput, MbtlError
 
 MOST = 32
 """Simulations at once: so many processes, of 100 MB or so each."""
-
-
-Sight = tuple[NDArray[np.float32], NDArray[np.bool_], bool, float]
-"""A scene between two decisions: (A, f) observations, of places without an agent any; (A,) there is
-an agent, and it decides; whether the episode has ended; and what it is worth, once it has. An agent
-that decides at the end was cut off: its life had not ended."""
-
-
-class Scene(Protocol):
-    """One simulation, in another process."""
-
-    def start(self, context: Mapping[str, float], seed: int) -> Sight:
-        """Begin an episode."""
-        ...
-
-    def step(
-        self, action: NDArray[Any] | None
-    ) -> tuple[Sight, NDArray[np.float32], NDArray[np.bool_]]:
-        """One decision, (A,) or (A, d), or none at all; (A,) rewards, and whose life has ended."""
-        ...
 
 
 class Live(NamedTuple):
@@ -81,7 +61,7 @@ class Processes(Seeded):
     """n scenes, each in a process of its own.
 
     Attributes:
-        scene: makes a `Scene`, pickled: what is pickled alike is the same world, compiled once.
+        scene: makes an `EnvScene`, pickled: what is pickled alike is the same world, compiled once.
         action: the action space of an agent.
         agents: A.
         n_features: length of an observation, with whatever it shows of the context.
@@ -103,7 +83,7 @@ class Processes(Seeded):
     storable: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, make_scene: Callable[[], Scene], **fields: Any) -> Processes:
+    def of(cls, make_scene: Callable[[], EnvScene], **fields: Any) -> Processes:
         """The world of these scenes; other fields by name.
 
         Raises:

@@ -42,9 +42,6 @@ TUNED_UNITS = (0.5, 1.0)
 PARENTS = (1.0, 4.0)
 """Units of the policies for all that copies are tuned from."""
 
-_PAIRS = 1 << 17
-"""Episodes that are played at once on an accelerator."""
-
 
 @dataclass(frozen=True)
 class OfOneWorld:
@@ -354,29 +351,7 @@ class Kinds:
         }
         every = [context for cmdp in self.cmdps for context in cmdp.space.contexts]
         world, params = trainer.problem(every)
-        where = np.array([lane.cmdp * self.n + np.arange(self.n) for lane in lanes])
         activation = trainer.learner.activation
-        if not engine.on_cpu():
-            by_seed = {seed: np.array(each, np.uint32) for seed, each in own.items()}
-            seeds = np.stack([by_seed[lane.seed] for lane in lanes])
-            told = None
-            if on_progress is not None:
-                tell = on_progress
-
-                def told(done: int, total: int) -> None:
-                    tell(Progress(done, total, {}, "pairs"))
-
-            return engine.evaluate_each(
-                world,
-                actor,
-                params,
-                where,
-                seeds,
-                activation=activation,
-                how=trainer.how,
-                rows=_PAIRS,
-                on_block=told,
-            )
         rows: list[Any] = []
         for (cmdp, seed), who in groupby(range(len(lanes)), lambda i: lanes[i][:2]):
             some, first = list(who), cmdp * self.n
