@@ -51,7 +51,7 @@ learn = jax.jit(ppo.learn, static_argnums=(0, 1))
 
 
 def updated(recipe, weights, lived, number=0):
-    pace = (Pace.falling if recipe.falls else Pace.endless)(10)
+    pace = (Pace.falling if recipe.anneal else Pace.endless)(10)
     clock = clock_at(jnp.int32(number), pace)
     return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, clock)
 

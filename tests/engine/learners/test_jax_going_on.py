@@ -103,7 +103,7 @@ def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
     train = partial(engine.train, WORLD, judging=False)
     own, unit = params_of(recipe, [0.4, 1.0]), recipe.update_length
     whole = train(recipe, [3, 5], own, 3 * unit)
-    pace = (Pace.falling if recipe.falls else Pace.endless)(3)
+    pace = (Pace.falling if recipe.anneal else Pace.endless)(3)
     half = train(recipe, [3, 5], own, unit, pace=pace)
     kept = engine.from_arrays(engine.start(WORLD, recipe, [3, 5], own), engine.to_arrays(half))
     end = train(recipe, [3, 5], own, 3 * unit, resume=kept)

@@ -104,6 +104,9 @@ def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypa
         for one, other in zip(whole[checkpoint], again[checkpoint], strict=True):
             assert same_policy(one, other)
     assert partial.is_file()  # removed by whom the policies are for, when they are safe
+    ended = []
+    TRAINER.train_many(CONTEXTS[:1], [0], on_progress=ended.append, state=partial)
+    assert [progress.step for progress in ended] == rest[-1:]  # from the end one is told once
 
 
 def test_a_damaged_partial_file_only_costs_time(tmp_path):

@@ -188,6 +188,17 @@ def test_a_return_is_the_same_in_any_company_and_every_context_has_luck_of_its_o
         np.testing.assert_array_equal(alone[:, 0], together[:, c])
 
 
+def test_of_equal_evaluations_the_earliest_is_the_best():
+    training = engine.start(PENDULUM, TINY, [0, 1], pendulum_params([0.5, 1.0]))
+    for number, found in enumerate([(1.0, 3.0), (1.0, 2.0), (4.0, 3.0)]):
+        now = training.state.weights._replace(log_std=jnp.full((2, 1), float(number)))
+        training = training._replace(state=training.state._replace(weights=now))
+        training = blocks.keep_better(training, jnp.array(found))
+    assert training.best_return.tolist() == [4.0, 3.0]
+    assert training.latest_return.tolist() == [4.0, 3.0]
+    assert training.best.log_std[:, 0].tolist() == [2.0, 0.0]
+
+
 @pytest.mark.parametrize("seeds", [[], [[]], [1, 2], [[1], [2]]])
 def test_nothing_to_evaluate_and_seeds_of_other_contexts_are_refused(seeds):
     weights = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5])).state.weights

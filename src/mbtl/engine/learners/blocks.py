@@ -1,4 +1,4 @@
-"""Training in blocks of updates with an evaluation after each, whatever is trained.
+"""What a training is between two blocks of updates, whatever is trained.
 
 All that decides the future is in a `Training`, so a run that is stopped after a block goes on from
 it with the same result as if it had not been.
@@ -6,8 +6,7 @@ it with the same result as if it had not been.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -22,9 +21,6 @@ from mbtl.engine.worlds.environments import Tree
 from mbtl.errors import StorageError, TrainingFailed
 
 T = TypeVar("T")
-
-BLOCKS = 50
-"""Evaluations per training unless told otherwise: one every 2 % of it."""
 
 
 class Training(NamedTuple):
@@ -56,69 +52,12 @@ class Block(NamedTuple):
     training: Training
 
 
-class Schedule(NamedTuple):
-    """When what happens, in updates.
-
-    Attributes:
-        total: of the whole training.
-        every: between two evaluations.
-        unit: environment steps or episodes of an update.
-    """
-
-    total: int
-    every: int
-    unit: int
-
-    @classmethod
-    def of(cls, length: int, unit: int, every: int | None = None) -> Schedule:
-        """From steps or episodes, rounded up to whole updates; `every` None: each 2 % of them."""
-        every = every or math.ceil(length / BLOCKS)
-        return cls(math.ceil(length / unit), math.ceil(every / unit), unit)
-
-
 def beginning(state: Any) -> Training:
     """Before the first update."""
     weights = state.weights
     nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
     best = jax.tree.map(jnp.copy, weights)
     return Training(state, best, nothing, jnp.copy(nothing), jnp.int32(0))
-
-
-def in_blocks(
-    schedule: Schedule,
-    training: Training,
-    learn: Callable[[Training, int], Training],
-    judge: Callable[[Training], Training] | None,
-    on_block: Callable[[Block], None] | None = None,
-    nothing_to_gain: Callable[[Training], bool] = lambda training: False,
-) -> Training:
-    """Learn and be judged in turns, and keep the best weights.
-
-    Args:
-        schedule: when.
-        training: from which to go on.
-        learn: training, number of updates -> training after them, maybe in the same memory.
-        judge: training -> training after an evaluation and `keep_better`; None: nobody judges.
-        on_block: told after each judgement, and once where nothing is left to do.
-        nothing_to_gain: whether to end before the last update.
-
-    Raises:
-        TrainingFailed: weights are no longer finite.
-    """
-    done, planned = int(training.updates), schedule.total * schedule.unit
-    over = done >= schedule.total or nothing_to_gain(training)
-    if over and on_block is not None:  # it went on from its end
-        on_block(Block(done * schedule.unit, planned, training))
-    while not over:
-        end = min(done - done % schedule.every + schedule.every, schedule.total)
-        training, done = learn(training, end - done), end
-        if judge is not None:
-            training = judge(training)
-        check_finite(training.state.weights, done * schedule.unit)
-        if on_block is not None:
-            on_block(Block(done * schedule.unit, planned, training))
-        over = done == schedule.total or nothing_to_gain(training)
-    return training
 
 
 @partial(jax.jit)

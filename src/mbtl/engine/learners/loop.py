@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
@@ -12,7 +13,7 @@ import numpy as np
 
 from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.algorithms import AnyRecipe
-from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
+from mbtl.engine.learners.blocks import Block, Training, beginning, check_finite, keep_better
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
 from mbtl.engine.learners.evaluation import own_measures
@@ -23,6 +24,9 @@ from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import World, in_a_row
 from mbtl.errors import InvalidInput
 from mbtl.seeds import checkpoint_seeds
+
+BLOCKS = 50
+"""Evaluations per training unless told otherwise: one every 2 % of it."""
 
 
 def start(
@@ -116,40 +120,44 @@ def train(
             f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
             f"got {checkpoint_episodes}"
         )
-    schedule = Schedule.of(length, recipe.update_length, checkpoint_every)
+    unit = recipe.update_length
+    total = math.ceil(length / unit)
+    every = math.ceil((checkpoint_every or math.ceil(length / BLOCKS)) / unit)
     if pace is None:
-        pace = (Pace.falling if recipe.falls else Pace.endless)(schedule.total)
+        pace = (Pace.falling if recipe.anneal else Pace.endless)(total)
     decisions = world.decisions(in_a_row(params))
     params = jax.tree.map(jnp.asarray, params)
-    best = world.max_return
+    best = world.max_return if only_best else None
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
-    def learn(training: Training, count: int) -> Training:
-        args = (world, recipe, decisions, training, params, count, pace)
-        return cast(Training, _updates(*args))
-
-    def judge(training: Training) -> Training:
+    def judged(training: Training) -> Training:
         actor = actor_of(training.state.weights)
         found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
         return cast(Training, keep_better(training, found.mean(axis=1)))
 
-    def nothing_to_gain(training: Training) -> bool:
-        if not only_best or best is None:
-            return False
-        return bool((np.asarray(training.best_return) >= best).all())
+    def is_over(training: Training) -> bool:
+        nothing_to_gain = best is not None and (np.asarray(training.best_return) >= best).all()
+        return bool(training.updates >= total or nothing_to_gain)
 
-    def told(block: Block) -> None:
+    def tell(training: Training) -> None:
         if on_block is not None:
-            on_block(block)
-        if saved is not None and getattr(world, "storable", True):
-            saved.save(block.training)
+            on_block(Block(int(training.updates) * unit, total * unit, training))
 
     fresh = partial(start, world, recipe, seeds, params, weights)
     if resume is None and saved is not None:
         resume = saved.load(fresh)
-    judged = judge if judging else None
     training = fresh() if resume is None else resume
-    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain)
+    if is_over(training):  # it goes on from its end
+        tell(training)
+    while not is_over(training):
+        done = int(training.updates)
+        count = min(done - done % every + every, total) - done
+        training = _updates(world, recipe, decisions, training, params, count, pace)
+        training = judged(training) if judging else training
+        check_finite(training.state.weights, (done + count) * unit)
+        tell(training)
+        if saved is not None and getattr(world, "storable", True):
+            saved.save(training)
     if saved is not None:
         saved.save(training, done=True)
     return training

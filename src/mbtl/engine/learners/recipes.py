@@ -34,6 +34,7 @@ class Learner:
         gamma: discount per decision.
         hidden: widths of the hidden layers of all networks.
         activation: between the layers.
+        anneal: the learning rate falls linearly to 0 over a training of known length.
 
     Raises:
         InvalidInput: a count is below 1, or numbers of a subclass do not fit together.
@@ -43,15 +44,11 @@ class Learner:
     gamma: float = 0.99
     hidden: tuple[int, ...] = (64, 64)
     activation: Activation = "tanh"
+    anneal: bool = False
 
     def __post_init__(self) -> None:
         counts = [one.name for one in fields(self) if one.type == "int" and one.name not in _FREE]
         check_lengths(**{name: getattr(self, name) for name in counts})
-
-    @property
-    def falls(self) -> bool:
-        """Whether the learning rate falls to 0 over a training of known length."""
-        return bool(getattr(self, "anneal", False))
 
     @property
     def record(self) -> dict[str, object]:
@@ -83,14 +80,12 @@ class WithCopies(Learner):
         n_envs: copies of the environment per policy.
         learning_rate: of the optimiser: Adam, or A2C's RMSprop.
         max_grad_norm: gradients of one policy are scaled down to this norm.
-        anneal: learning rate falls linearly to 0 over the training.
     """
 
     unit: ClassVar[str] = "timesteps"
     n_envs: int = 1
     learning_rate: float = 3e-4
     max_grad_norm: float = 0.5
-    anneal: bool = False
 
 
 @dataclass(frozen=True)
@@ -429,7 +424,6 @@ class EpisodicPPORecipe(EpisodicActorCritic):
     minibatches: int = 40
     n_epochs: int = 10
     learning_rate: float = 1e-4
-    anneal: bool = False
     gae_lambda: float = 0.97
     clip_range: float = 0.03
     value_clip: float = 3.0
@@ -475,7 +469,6 @@ class EpisodicDQNRecipe(TwinRecipe):
     gradient_steps: int = 800
     batch_size: int = 100
     learning_rate: float = 1e-3
-    anneal: bool = False
     buffer_size: int = 50_000
     exploration_fraction: float = 1.0
     final_epsilon: float = 0.0
