@@ -28,7 +28,7 @@ def problem(tmp_path, monkeypatch):
 
 
 def test_a_family_of_one_file_is_trained_and_evaluated_on_all_contexts(problem, tmp_path):
-    trainer = problem.trainer_for(timesteps=30_000, hyperparameters={"gamma": 0.9})
+    trainer = problem.trainer_for(timesteps=15_000, hyperparameters={"gamma": 0.9})
     contexts = problem.space.contexts
     building = Build(trainer, problem.space, 0, tmp_path, {}, ("best",), lanes=len(contexts))
     building.run()

@@ -72,6 +72,7 @@ def test_a_simulation_that_is_lost_stays_lost_and_is_lost_alone(monkeypatch, tmp
         assert np.isnan(reward).tolist() == [False, True, False]
 
 
+@pytest.mark.long
 def test_a_training_whose_simulator_fails_is_the_only_one_that_does(monkeypatch):
     whole = HalfCheetahs.step
 

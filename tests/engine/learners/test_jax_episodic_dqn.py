@@ -130,6 +130,7 @@ def test_who_does_not_act_teaches_nothing():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.long
 def test_contexts_of_the_ring_are_trained_together_and_act_greedily():
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for(
         "quick", algorithm="DQN", recipe_name="fast", episodes=4, eval_episodes=2,

@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 
 from mbtl.engine.learners.episodic.learning import contexts_met
-from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
-
-HOLDS = [{"hold": 20.0}, {"hold": 28.0}, {"hold": 40.0}]
-SMALL = {"n_episodes": 2, "hidden": (8,)}
 
 
 def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
@@ -25,19 +21,6 @@ def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
         assert (abs(counts - 240) < 5 * np.sqrt(400 * 0.6 * 0.4)).all()
     more = np.array(contexts_met(seeds, jnp.uint32(0), 5, 12))  # more episodes than contexts
     assert (np.sort(np.bincount(more[0])) == [2, 2, 2, 3, 3]).all()
-
-
-def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):
-    cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
-    trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2, hyperparameters=SMALL)
-    heard, file = [], tmp_path / "training.npz"
-    file.write_bytes(b"of another run, cut off")
-    policy = trainer.train(HOLDS, 3, on_progress=heard.append, state=file).policy
-    assert policy.weights[0].shape[1] == 3 + 1
-    assert (heard[-1].step, heard[-1].unit) == (heard[-1].total, "steps")
-    assert trainer.evaluate(policy, HOLDS, [1, 2, 3]).shape == (3, 2)
-    with pytest.raises(InvalidInput, match="at least one context"):
-        trainer.train([], 3)
 
 
 @pytest.mark.long

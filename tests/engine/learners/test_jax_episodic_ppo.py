@@ -60,9 +60,7 @@ EVERYBODY = jnp.ones((D, 1, A), bool)
 FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 
 
-@pytest.mark.parametrize(
-    ("acting", "rows", "count"), [(EVERYBODY, 64, 64), (FEW, 64, 20), (EVERYBODY, 256, D * A)]
-)
+@pytest.mark.parametrize(("acting", "rows", "count"), [(EVERYBODY, 64, 64), (FEW, 64, 20)])
 def test_rows_are_decisions_of_agents_and_nothing_else(acting, rows, count):
     recipe, weights, lived = setting(acting, rows=rows)
     marked = lived._replace(obs=jnp.where(acting.reshape(-1, 1), lived.obs, 77.0))
@@ -93,16 +91,15 @@ def moved(recipe, weights, lived):
 def test_it_moves_towards_what_paid_and_stops_when_far():
     options = {"gae_lambda": 0.0, "normalize_advantage": True, "n_epochs": 30, "clip_range": 0.2}
     near, shift, _ = moved(*setting(EVERYBODY, target_kl=0.02, **options))
-    far, larger, _ = moved(*setting(EVERYBODY, target_kl=10.0, **options))
+    far, larger, memory = moved(*setting(EVERYBODY, target_kl=10.0, kl_coef=0.1, **options))
     assert 0.0 < near < 0.06 < far
     assert 0.0 < shift < larger
+    assert float(memory.kl_coef) == pytest.approx(0.05)  # a penalty that is not needed
 
 
-@pytest.mark.parametrize(
-    ("target_kl", "before", "after"), [(1e-9, 0.1, 0.15), (10.0, 0.1, 0.05), (1e-9, 0.0, 0.0)]
-)
-def test_the_penalty_follows_the_kl_and_none_stays_none(target_kl, before, after):
-    recipe, weights, lived = setting(EVERYBODY, target_kl=target_kl, kl_coef=before)
+@pytest.mark.parametrize(("before", "after"), [(0.1, 0.15), (0.0, 0.0)])
+def test_the_penalty_follows_the_kl_and_none_stays_none(before, after):
+    recipe, weights, lived = setting(EVERYBODY, target_kl=1e-9, kl_coef=before)
     _, memory = updated(recipe, weights, lived)
     assert float(memory.kl_coef) == pytest.approx(after)
 

@@ -143,7 +143,7 @@ class _Silent:
         return engine.Solo(_Double()), self.problem(contexts)[1]
 
 
-RING = get_cmdp("ring-acc", engine="jax").trainer_for(
+RING = get_cmdp("ring-acc", engine="jax", visibility="multiplier").trainer_for(
     "quick", episodes=12, eval_episodes=2, hyperparameters={"hidden": (8,)}
 )
 HOLD = {"hold": 40.0}
@@ -171,6 +171,7 @@ def test_a_training_of_episodes_is_extended_and_counts_decisions(contexts, algor
     each = np.array([400.0 / one["hold"] for one in contexts])
     met = [engine.episodes_met(3, n // unit, len(contexts), unit) for n in lengths]
     assert [r.steps for r in reached] == [each @ one for one in met]
+    assert reached[0].policy.weights[0].shape[1] == 3 + 1  # it is told the context
     assert (told[-1].unit, told[-1].step, told[-1].total) == ("steps", *[reached[1].steps] * 2)
     growing = trainer._growing([contexts], [3])
     trunk = growing.along(growing.start(), round(4 * 0.8 / unit + 0.1))
