@@ -1,6 +1,6 @@
 """Trainings that pause and go on are those of the whole length; every step is counted."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -143,45 +143,30 @@ class _Silent:
         return engine.Solo(_Double()), self.problem(contexts)[1]
 
 
-RING = get_cmdp("ring-acc", engine="jax", visibility="multiplier").trainer_for(
-    "quick", episodes=12, eval_episodes=2, hyperparameters={"hidden": (8,)}
-)
-HOLD = {"hold": 40.0}
-"""Ten decisions in an episode of 400 s."""
-
-
 HOLDS = [{"hold": hold} for hold in (20.0, 40.0)]
-"""20 and 10 decisions in an episode."""
+"""20 and 10 decisions in an episode of 400 s."""
 
 
-@pytest.mark.parametrize(("algorithm", "contexts"), [("PPO", [HOLD]), ("TRPO", HOLDS)])
-def test_a_training_of_episodes_is_extended_and_counts_decisions(contexts, algorithm, tmp_path):
-    own = {"rows": 16, "minibatches": 4, "n_episodes": 2} if algorithm == "PPO" else {}
-    name = "fast" if algorithm == "PPO" else "paper"
-    trainer = replace(
-        RING, algorithm=algorithm, recipe_name=name, hyperparameters={"hidden": (8,), **own}
+def test_a_training_of_episodes_is_extended_and_counts_decisions(tmp_path):
+    small = {"rows": 16, "minibatches": 4, "n_episodes": 2, "hidden": (8,)}
+    trainer = get_cmdp("ring-acc", engine="jax", visibility="multiplier").trainer_for(
+        "quick", algorithm="PPO", recipe_name="fast", episodes=12, hyperparameters=small
     )
     assert (trainer.whole, trainer.counts) == (12, "episodes")
     file, told = tmp_path / "training.npz", []
-    lengths, unit = (4, 12), trainer.update_length
-    reached = [
-        trainer.train(contexts, 3, length=n / 12, state=file, on_progress=told.append)
-        for n in lengths
-    ]
-    each = np.array([400.0 / one["hold"] for one in contexts])
-    met = [engine.episodes_met(3, n // unit, len(contexts), unit) for n in lengths]
-    assert [r.steps for r in reached] == [each @ one for one in met]
-    assert reached[0].policy.weights[0].shape[1] == 3 + 1  # it is told the context
-    assert (told[-1].unit, told[-1].step, told[-1].total) == ("steps", *[reached[1].steps] * 2)
-    growing = trainer._growing([contexts], [3])
-    trunk = growing.along(growing.start(), round(4 * 0.8 / unit + 0.1))
-    assert same_policy(
-        reached[0].policy,
-        exported(growing, growing.end(trunk, 4 // unit - round(4 * 0.8 / unit + 0.1))),
+    first, second = (
+        trainer.train(HOLDS, 3, length=n / 12, state=file, on_progress=told.append) for n in (4, 12)
     )
-    warm = trainer.train([{"hold": 38.0}], 1, length=2 / 12, start=reached[1].policy).policy
-    cold = trainer.train([{"hold": 38.0}], 1, length=2 / 12).policy
-    assert 0 < apart(warm, reached[1].policy) < 0.3 < apart(cold, reached[1].policy)
+    met = [engine.episodes_met(3, n // 2, 2, 2) for n in (4, 12)]
+    assert [first.steps, second.steps] == [one @ [20, 10] for one in met]
+    assert first.policy.weights[0].shape[1] == 3 + 1  # it is told the context
+    assert (told[-1].unit, told[-1].step, told[-1].total) == ("steps", *[second.steps] * 2)
+    growing = trainer._growing([HOLDS], [3])
+    trunk = growing.along(growing.start(), 2)  # a branch of a fifth of two updates is none
+    assert same_policy(first.policy, exported(growing, growing.end(trunk, 0)))
+    warm = trainer.train(HOLDS[::-1], 1, length=2 / 12, start=second.policy).policy
+    cold = trainer.train(HOLDS[::-1], 1, length=2 / 12).policy
+    assert 0 < apart(warm, second.policy) < 0.3 < apart(cold, second.policy)
 
 
 def test_a_world_that_lives_in_one_process_hands_out_no_state():
