@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from mbtl.problems import get_cmdp
 
 def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
     seeds = jnp.array([7, 8], jnp.uint32)
-    met = np.array([contexts_met(seeds, jnp.uint32(u), 5, 3) for u in range(400)])
+    meets = jax.jit(contexts_met, static_argnums=(2, 3))
+    met = np.array([meets(seeds, jnp.uint32(u), 5, 3) for u in range(400)])
     assert met.shape == (400, 2, 3)
     assert all(len(set(one)) == 3 for update in met for one in update)
     assert not np.array_equal(met[:, 0], met[:, 1])  # each policy draws its own
