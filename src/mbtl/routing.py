@@ -130,9 +130,9 @@ class Valuation:
 
 
 class Routing:
-    """Who serves which context after every training of a study, and what that is worth.
+    """Who serves which context after all trainings of a study, and what that is worth.
 
-    What holds after j trainings depends on the first j rows alone.
+    What holds after j trainings depends on the first j rows alone (`after`).
 
     Args:
         space: the N contexts.
@@ -156,29 +156,44 @@ class Routing:
         """Nothing is computed yet."""
         self.space, self.sources, self.rows, self.risk = space, tuple(sources), rows, risk
         self.episodes = episodes
-        self._after: dict[int, _After] = {}
+        self._before: dict[int, Routing] = {}
         if earlier is not None and self._goes_on(earlier):
-            self._after.update(earlier._after)
+            self._before = {**earlier._before, len(earlier): earlier}
 
     def __len__(self) -> int:
         return len(self.sources)
 
+    def after(self, k: int) -> Routing:
+        """Of the first k trainings."""
+        if k == len(self):
+            return self
+        if k not in self._before:
+            episodes = None if self.episodes is None else self.episodes.first(k)
+            self._before[k] = Routing(
+                self.space, self.sources[:k], self.rows[:k], episodes, risk=self.risk
+            )
+        return self._before[k]
+
     @cached_property
     def routes(self) -> Indices:
         """(k, N) positions of the serving policies after 1, 2, ..., k trainings."""
-        if self.after().beliefs.exact:
+        if self.beliefs.exact:
             return routes(self.rows, self.sources, self.space.steps)
         return np.array([self.after(k).route for k in range(1, len(self) + 1)])
 
-    @property
+    @cached_property
     def route(self) -> Indices:
         """(N,) positions of the policies that serve now."""
-        return self.after().route
+        found = self._route(np.arange(self.space.n))
+        found.setflags(write=False)
+        return found
 
-    @property
+    @cached_property
     def beliefs(self) -> Beliefs:
         """What all rows together say."""
-        return self.after().beliefs
+        errors = None if self.episodes is None else self.episodes.errors
+        own = 1.0 if self.episodes is None or errors is None else self.episodes.own_share
+        return Beliefs(self.space, self.sources, self.rows, errors, own)
 
     @cached_property
     def believed(self) -> Array:
@@ -190,30 +205,26 @@ class Routing:
         """(N,) performance that is believed of the policies that serve now."""
         return np.asarray(self.believed[self.route, np.arange(self.space.n)])
 
-    def after(self, k: int | None = None) -> _After:
-        """What holds after k trainings; None: after all."""
-        k = len(self) if k is None else k
-        if k not in self._after:
-            episodes = self.episodes if self.episodes is None else self.episodes.first(k)
-            self._after[k] = _After(
-                self.space, self.sources[:k], self.rows[:k], episodes, self.risk
-            )
-        return self._after[k]
-
-    @property
+    @cached_property
     def value(self) -> Valuation:
         """V now."""
-        return self.after().value
+        return self._valued(None)
 
     @property
     def curve(self) -> list[Valuation]:
         """V after 1, 2, ..., k trainings."""
         return [self.after(k).value for k in range(1, len(self) + 1)]
 
-    @property
+    @cached_property
     def gain(self) -> Valuation:
         """V less the V of the best single policy, which would serve all."""
-        return self.after().gain
+        return self._valued(self.best_single)
+
+    @cached_property
+    def best_single(self) -> int:
+        """Position of the policy that would serve all best, by what is believed."""
+        targets, weights = self.targets
+        return int(worst_share_mean(self.beliefs.on(targets)[0], weights, self.risk).argmax())
 
     @property
     def tails(self) -> float:
@@ -227,11 +238,6 @@ class Routing:
         """False where no scatter of episodes was told: how much chance there is nobody can say."""
         return self.episodes is not None and self.episodes.several
 
-    @property
-    def best_single(self) -> int:
-        """Position of the policy that would serve all best, by what is believed."""
-        return self.after().best_single
-
     def _goes_on(self, earlier: Routing) -> bool:
         k = len(earlier)
         same = earlier.space is self.space and earlier.risk == self.risk
@@ -241,57 +247,6 @@ class Routing:
             and np.array_equal(earlier.rows, self.rows[:k], equal_nan=True)
             and _same_episodes(earlier.episodes, self.episodes, k)
         )
-
-
-def _same_episodes(earlier: Episodes | None, now: Episodes | None, k: int) -> bool:
-    if earlier is None or now is None:
-        return earlier is now
-    pairs = zip(earlier.returns, now.returns[:k], strict=True)
-    return earlier.bounds == now.bounds and all(
-        one is other or np.array_equal(one, other, equal_nan=True) for one, other in pairs
-    )
-
-
-class _After:
-    """What holds after some trainings; made by `Routing.after`."""
-
-    def __init__(
-        self,
-        space: ContextSpace,
-        sources: Sequence[int],
-        rows: Array,
-        episodes: Episodes | None,
-        risk: float,
-    ) -> None:
-        self._space, self._sources, self._risk = space, sources, risk
-        self._episodes = episodes
-        errors = None if episodes is None else episodes.errors
-        own = 1.0 if episodes is None or errors is None else episodes.own_share
-        self.beliefs = Beliefs(space, sources, rows, errors, own)
-        self._noisy = errors is not None
-
-    @cached_property
-    def route(self) -> Indices:
-        """(N,) positions of the serving policies."""
-        found = self._route(np.arange(self._space.n))
-        found.setflags(write=False)
-        return found
-
-    @cached_property
-    def value(self) -> Valuation:
-        """V now."""
-        return self._valued(None)
-
-    @cached_property
-    def gain(self) -> Valuation:
-        """V less that of the best single policy."""
-        return self._valued(self.best_single)
-
-    @cached_property
-    def best_single(self) -> int:
-        """Position of the policy that would serve all best."""
-        targets, weights = self.targets
-        return int(worst_share_mean(self.beliefs.on(targets)[0], weights, self._risk).argmax())
 
     def _valued(self, alone: int | None) -> Valuation:
         """V, or what it is more than that of one policy."""
@@ -303,14 +258,14 @@ class _After:
         served = mean[route, at]
         rival = np.zeros(len(at)) if alone is None else mean[alone]
         spread = self._sampling(served - rival, weights)
-        if self._risk < 1.0:
+        if self.risk < 1.0:
             return self._worst_share(alone, route, seen, spread)
         predicted = np.flatnonzero(~(measured[route, at] & (alone is None or measured[alone])))
         if alone is not None:
             predicted = predicted[route[predicted] != alone]
         doubt = self._error(route, alone, weights, predicted) if len(predicted) else 0.0
         doubt = float(np.hypot(doubt, spread))
-        if not self._noisy:
+        if self.episodes is None or self.episodes.errors is None:
             return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
         value, variance, freedom = self._cross_fitted(alone)
         margin = float(np.hypot(student(freedom) * np.sqrt(variance), SURE * doubt))
@@ -330,12 +285,12 @@ class _After:
         all contexts that it serves. Only measured contexts count, each with its own weight: what is
         predicted from them has its doubt from the model.
         """
-        assert self._episodes is not None
-        (targets, weights), steps = self.targets, self._space.steps
-        at, folds = np.arange(len(targets)), self._episodes.folds
-        believed = self.beliefs.on_folds(targets, self._episodes.kept)
+        assert self.episodes is not None
+        (targets, weights), steps = self.targets, self.space.steps
+        at, folds = np.arange(len(targets)), self.episodes.folds
+        believed = self.beliefs.on_folds(targets, self.episodes.kept)
         says, flattery = np.zeros((2, len(at), folds))
-        luck = np.zeros((len(self._sources), len(at)))
+        luck = np.zeros((len(self.sources), len(at)))
         choices: list[tuple[float, Indices]] = [(1.0, self._route(targets))]
         if alone is not None:
             choices.append((-1.0, np.full(len(at), alone)))
@@ -343,7 +298,7 @@ class _After:
             luck[serves, at] += sign * self._held(serves, targets).mean(axis=1)
             for fold, mean in enumerate(believed):
                 if sign > 0.0:
-                    chosen = last_route(mean, self._sources, steps, targets)
+                    chosen = last_route(mean, self.sources, steps, targets)
                 else:
                     chosen = np.full(len(at), (mean @ weights).argmax())
                 found = self._held(chosen, targets)[:, fold]
@@ -364,10 +319,10 @@ class _After:
 
     def _held(self, route: Indices, targets: Indices) -> Array:
         """(T, F) of the serving policies by the episodes left out; NaN where not evaluated."""
-        assert self._episodes is not None
-        found = np.full((len(targets), self._episodes.folds), np.nan)
+        assert self.episodes is not None
+        found = np.full((len(targets), self.episodes.folds), np.nan)
         there = self.beliefs.measured[route, targets]
-        found[there] = self._episodes.held(route[there], targets[there])
+        found[there] = self.episodes.held(route[there], targets[there])
         return found
 
     def _error(self, route: Indices, alone: int | None, weights: Array, some: Indices) -> float:
@@ -395,8 +350,8 @@ class _After:
         )
         row, at = np.divmod(pairs, len(targets))
         drawn = self._drawn(row, at)[:, place.reshape(serves.shape)]
-        values = worst_share_mean(drawn, weights, self._risk)
-        likely = worst_share_weights(drawn.mean(axis=0), weights, self._risk)
+        values = worst_share_mean(drawn, weights, self.risk)
+        likely = worst_share_weights(drawn.mean(axis=0), weights, self.risk)
         error = 0.0
         for one in (values, (drawn * likely).sum(axis=2)):  # the latter of targets that stay
             error = max(error, float((one[:, 0] - one[:, 1:].sum(axis=1)).std()))
@@ -407,26 +362,26 @@ class _After:
     @cached_property
     def targets(self) -> tuple[Indices, Array]:
         """Contexts that V is computed on, and their weights, sum 1: all, if that is affordable."""
-        every, weights = np.arange(self._space.n), self._space.weights
+        every, weights = np.arange(self.space.n), self.space.weights
         if len(every) <= _SAMPLE or self.beliefs.exact:
             return every, weights
         some = np.random.default_rng(0).choice(len(every), _SAMPLE, replace=False, p=weights)
         return np.sort(some), np.full(_SAMPLE, 1.0 / _SAMPLE)
 
     def _route(self, targets: Indices) -> Indices:
-        if len(targets) == self._space.n and "route" in self.__dict__:
+        if len(targets) == self.space.n and "route" in self.__dict__:
             return self.route
-        steps, found = self._space.steps, np.empty(len(targets), dtype=np.intp)
-        width = len(targets) if self.beliefs.exact else max(1, 200_000 // len(self._sources))
+        steps, found = self.space.steps, np.empty(len(targets), dtype=np.intp)
+        width = len(targets) if self.beliefs.exact else max(1, 200_000 // len(self.sources))
         for first in range(0, len(targets), width):
             some = targets[first : first + width]
             mean = self.beliefs.on(some)[0]
-            found[first : first + width] = last_route(mean, self._sources, steps, some)
+            found[first : first + width] = last_route(mean, self.sources, steps, some)
         return found
 
     def _sampling(self, values: Array, weights: Array) -> float:
         """Standard error of a mean over a sample of the contexts; 0 where it is over all."""
-        n, some = self._space.n, len(values)
+        n, some = self.space.n, len(values)
         if some == n:
             return 0.0
         spread = float(np.sqrt(weights @ np.square(values - weights @ values)))
@@ -446,3 +401,12 @@ class _After:
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(spread)))
         drawn[:, unsure] = believed + normal @ root.T
         return drawn
+
+
+def _same_episodes(earlier: Episodes | None, now: Episodes | None, k: int) -> bool:
+    if earlier is None or now is None:
+        return earlier is now
+    pairs = zip(earlier.returns, now.returns[:k], strict=True)
+    return earlier.bounds == now.bounds and all(
+        one is other or np.array_equal(one, other, equal_nan=True) for one, other in pairs
+    )
