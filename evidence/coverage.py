@@ -106,7 +106,6 @@ def errors(setting: Setting, seed: int) -> dict[str, tuple[float, float]]:
         tuple(sources),
         played.mean(axis=2),
         Bounds(0.0, 1.0),
-        0.01,
         episodes=list(played),
         risk=setting.risk,
     )

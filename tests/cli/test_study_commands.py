@@ -83,7 +83,7 @@ def test_a_damaged_study_gets_one_line_and_hides_no_other(mbtl_command, place):
 
 
 def test_trust_reaches_the_policies_that_are_played(tmp_path):
-    portfolio = Portfolio(SPACE, (0,), np.ones((1, 3)), Bounds(0, 1), 0.1, cmdp="ring-acc")
+    portfolio = Portfolio(SPACE, (0,), np.ones((1, 3)), Bounds(0, 1), cmdp="ring-acc")
     folder = portfolio.save(tmp_path / "p", allow_missing=True)
     assert _portfolio(str(folder), True).trust
     assert not _portfolio(str(folder), False).trust

@@ -134,7 +134,7 @@ def test_any_damage_to_a_manifest_gets_a_sentence(tmp_path):
         path.write_text(json.dumps(damaged(whole, seed)))
         used(folder)
 
-    assert refusals(attempt, 150) > 80
+    assert refusals(attempt, 100) > 50
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "null", "[]", "{", '{"kind": "mbtl portfolio"}'])
@@ -155,7 +155,7 @@ def test_any_damage_to_a_policy_gets_a_sentence(tmp_path):
         (tmp_path / "weights.npz").write_bytes(bad)
         MLPPolicy.load(tmp_path).predict(np.zeros(1))
 
-    assert refusals(attempt, 200) > 100
+    assert refusals(attempt, 120) > 60
 
 
 # ---- an interrupt while the old one is replaced -----------------------------------------------

@@ -31,28 +31,28 @@ def test_outputs_of_a_network_worked_out_by_hand():
     assert relu_policy().outputs(f32([[2.0], [-3.0]])).tolist() == [[3.0, 0.0], [1.0, 3.0]]
 
 
-def test_discrete_action_is_the_largest_output_alone_and_in_a_batch():
-    policy = relu_policy()
-    single, state = policy.predict(f32([-3.0]))
-    assert (int(single), single.shape, state) == (1, (), None)
-    assert policy.predict(f32([[2.0], [-3.0]]))[0].tolist() == [0, 1]
+BLOCKS = MLPPolicy(
+    (f32(np.zeros((5, 1))),), (f32([0, 1, 5, 9, 7]),), "tanh", (1,),
+    DiscreteHead((2, 3), scalar=False),
+)  # fmt: skip
 
 
-def test_multi_discrete_takes_the_largest_of_each_block():
-    head = DiscreteHead((2, 3), scalar=False)
-    policy = MLPPolicy((f32(np.zeros((5, 1))),), (f32([0, 1, 5, 9, 7]),), "tanh", (1,), head)
-    assert policy.predict(f32([0.0]))[0].tolist() == [1, 1]
-
-
-def test_continuous_mean_is_clipped_to_the_box():
-    assert box_policy().predict(f32([3.0]))[0].tolist() == [1.0, 6.0]
-    assert box_policy().predict(f32([-3.0]))[0].tolist() == [-1.0, 0.0]
-
-
-def test_squashed_action_is_stretched_over_the_box():
-    action = box_policy(squash=True).predict(f32([0.5]))[0]
-    assert action == pytest.approx([np.tanh(0.5), 5.0 * (np.tanh(1.0) + 1.0)], abs=1e-6)
-    assert action.dtype == np.float32
+@pytest.mark.parametrize(
+    ("policy", "observation", "action"),
+    [
+        (relu_policy(), [-3.0], 1),
+        (relu_policy(), [[2.0], [-3.0]], [0, 1]),
+        (BLOCKS, [0.0], [1, 1]),  # the largest of each block
+        (box_policy(), [3.0], [1.0, 6.0]),  # clipped to the box
+        (box_policy(), [-3.0], [-1.0, 0.0]),
+        (box_policy(squash=True), [0.5], [np.tanh(0.5), 5.0 * (np.tanh(1.0) + 1.0)]),
+    ],
+)
+def test_the_action_is_the_best_of_the_outputs(policy, observation, action):
+    found, state = policy.predict(f32(observation))
+    assert state is None
+    assert found == pytest.approx(np.asarray(action), abs=1e-6)
+    assert found.dtype == (np.float32 if isinstance(policy.head, BoxHead) else np.int64)
 
 
 def test_samples_follow_the_softmax():
@@ -112,27 +112,31 @@ def test_layers_that_do_not_fit_are_refused():
         relu_policy().predict(f32([1, 2, 3]))
 
 
-def test_damaged_policy_folders_give_one_clear_error(tmp_path):
-    with pytest.raises(StorageError, match=r"whole policy.json and weights.npz"):
-        MLPPolicy.load(tmp_path)
+def newer(folder):
+    record = json.loads((folder / "policy.json").read_text())
+    (folder / "policy.json").write_text(json.dumps({**record, "format": 99}))
+
+
+def torn(folder):
+    weights = (folder / "weights.npz").read_bytes()
+    (folder / "weights.npz").write_bytes(weights[: len(weights) // 2])
+
+
+def pickled(folder):
+    np.savez(folder / "weights.npz", weight_0=np.array([print], dtype=object))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda folder: (folder / "policy.json").unlink(), "whole policy.json and weights.npz"),
+        (torn, "save the policy again"),
+        (pickled, r"weights\.npz"),
+        (newer, "install a newer mbtl"),
+    ],
+)
+def test_a_folder_that_is_no_policy_gives_one_clear_error(tmp_path, change, words):
     relu_policy().save(tmp_path)
-    weights = (tmp_path / "weights.npz").read_bytes()
-    (tmp_path / "weights.npz").write_bytes(weights[: len(weights) // 2])
-    with pytest.raises(StorageError, match="save the policy again"):
-        MLPPolicy.load(tmp_path)
-
-
-def test_newer_policy_format_is_refused(tmp_path):
-    relu_policy().save(tmp_path)
-    record = json.loads((tmp_path / "policy.json").read_text())
-    (tmp_path / "policy.json").write_text(json.dumps({**record, "format": 99}))
-    with pytest.raises(StorageError, match="install a newer mbtl"):
-        MLPPolicy.load(tmp_path)
-
-
-def test_pickled_arrays_are_refused(tmp_path):
-    relu_policy().save(tmp_path)
-    with (tmp_path / "weights.npz").open("wb") as file:
-        np.savez(file, weight_0=np.array([print], dtype=object))
-    with pytest.raises(StorageError, match=r"weights\.npz"):
+    change(tmp_path)
+    with pytest.raises(StorageError, match=words):
         MLPPolicy.load(tmp_path)

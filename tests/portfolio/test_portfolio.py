@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import ContextMismatch, InvalidInput, StorageError
+from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds
 from mbtl.portfolio import DiscreteHead, MLPPolicy, Portfolio, load_portfolio
 
@@ -28,7 +28,6 @@ def make(**changes):
         "sources": (0, 4),
         "returns": RETURNS,
         "bounds": Bounds(0, 500),
-        "theta": 0.1,
         "policy_format": "mlp",
         "in_memory": {0: constant(0), 1: constant(1)},
         "cmdp": "cartpole-length",
@@ -100,7 +99,6 @@ def test_nine_of_ten_returns_lie_where_explain_says_whoever_shares_the_episodes(
             sources,
             episodes.mean(axis=2),
             Bounds(-1600.0, 0.0),
-            theta=0.01,
             episodes=list(episodes),
         )
         for target in range(seed % 4, n, 4):
@@ -124,7 +122,6 @@ def test_what_all_policies_share_is_in_a_return_and_not_in_a_lead():
         (2, 9),
         returns,
         Bounds(0.0, 500.0),
-        theta=0.05,
         episodes=[row[:, None] + luck for row in returns],
     )
     choice = portfolio.explain(space.context(2))
@@ -142,17 +139,6 @@ def test_exact_returns_are_exact_on_the_list_and_nothing_is_known_between():
     assert (listed.error, listed.margin_error) == (0.0, 0.0)
     assert (between.error, between.margin_error) == (None, None)
     assert "should return about 300 (its error is unknown)" in between.explanation
-
-
-def test_value_heeds_risk():
-    assert make(risk=0.4).value == pytest.approx((300 + 400) / 2 / 500)
-
-
-def test_choice_off_the_list_is_interpolated_in_raw_units():
-    choice = make().explain({"length": 1.25})
-    assert (choice.policy, choice.basis) == (0, "interpolated")
-    assert choice.predicted_return == pytest.approx(300.0)
-    assert choice.margin == pytest.approx(100.0)
 
 
 def test_a_context_without_evaluation_is_predicted_and_says_so():
@@ -174,17 +160,6 @@ def test_smaller_is_better_when_the_bounds_say_so():
     assert choice.margin == pytest.approx(100.0)
 
 
-def test_contexts_nobody_was_evaluated_on_are_still_mapped():
-    returns = RETURNS.copy()
-    returns[:, 1:4] = np.nan
-    assert make(returns=returns).assignment[[0, 1, 3, 4]].tolist() == [0, 0, 1, 1]
-
-
-def test_context_outside_is_refused():
-    with pytest.raises(ContextMismatch):
-        make().explain({"length": 9.0})
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -195,7 +170,6 @@ def test_context_outside_is_refused():
         ({"returns": np.full((2, 5), np.nan)}, "return of at least one"),
         ({"episodes": [np.zeros((5, 2))]}, "for each of 2 policies"),
         ({"episodes": [np.zeros((5, 2)), np.zeros((5, 0))]}, r"returns of shape \(5, episodes\)"),
-        ({"theta": -1.0}, "theta"),
         ({"policy_folders": (None,)}, "one folder or None per policy"),
     ],
 )
@@ -231,7 +205,7 @@ def test_saved_portfolio_is_the_same_portfolio(tmp_path):
     assert np.array_equal(again.returns, portfolio.returns)
     assert all(np.array_equal(one, two) for one, two in zip(again.episodes, episodes, strict=True))
     assert again.risk == 0.5
-    assert (again.sources, again.bounds, again.theta) == ((0, 4), Bounds(0, 500), 0.1)
+    assert (again.sources, again.bounds) == ((0, 4), Bounds(0, 500))
     assert (again.cmdp, again.metadata) == ("cartpole-length", {"note": "test"})
     assert [act(again.policy(i)) for i in range(2)] == [0, 1]
     assert sorted(p.name for p in (tmp_path / "p" / "policies").iterdir()) == [
@@ -310,8 +284,6 @@ def test_changed_missing_and_foreign_files_are_named(tmp_path):
     [
         ({"format": 3}, "formats up to 2"),
         ({"kind": "else"}, "must describe a portfolio"),
-        ({"returns": {"file": "../returns.npz", "sha256": "0"}}, "inside its own folder"),
-        ({"returns": {"file": "/etc/hostname", "sha256": "0"}}, "inside its own folder"),
         ({"bounds": {"low": 1, "high": 0}}, "must fit each other"),
         ({"sources": [0]}, "must fit each other"),
         ({"policies": None}, "whole portfolio"),
@@ -322,35 +294,6 @@ def test_manifest_that_cannot_be_used(tmp_path, change, message):
     path = folder / "portfolio.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(StorageError, match=message):
-        load_portfolio(folder)
-
-
-def test_links_out_of_the_folder_are_refused(tmp_path):
-    folder = make().save(tmp_path / "p")
-    (folder / "returns.npz").rename(tmp_path / "elsewhere.npz")
-    (folder / "returns.npz").symlink_to(tmp_path / "elsewhere.npz")
-    with pytest.raises(StorageError, match="got the link"):
-        load_portfolio(folder)
-
-
-def test_torn_manifest_is_no_portfolio(tmp_path):
-    folder = make().save(tmp_path / "p")
-    text = (folder / "portfolio.json").read_text()
-    (folder / "portfolio.json").write_text(text[: len(text) // 2])
-    with pytest.raises(StorageError, match="readable JSON"):
-        load_portfolio(folder)
-
-
-def test_pickled_returns_are_refused(tmp_path):
-    folder = make().save(tmp_path / "p")
-    np.savez(folder / "returns.npz", returns=np.array([print], dtype=object))
-    path = folder / "portfolio.json"
-    manifest = json.loads(path.read_text())
-    manifest["returns"]["sha256"] = hashlib.sha256(
-        (folder / "returns.npz").read_bytes()
-    ).hexdigest()
-    path.write_text(json.dumps(manifest))
-    with pytest.raises(StorageError, match="must describe a whole portfolio"):
         load_portfolio(folder)
 
 
@@ -383,12 +326,6 @@ def test_save_that_fails_half_way_leaves_the_old_portfolio(tmp_path, monkeypatch
         make(sources=(1, 3)).save(folder, overwrite=True)
     assert load_portfolio(folder).sources == (0, 4)
     assert [p.name for p in tmp_path.iterdir()] == ["p"]
-
-
-def test_place_that_cannot_be_written(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="a place that can be written"):
-        make().save(tmp_path / "file" / "p")
 
 
 def test_metadata_must_be_json(tmp_path):

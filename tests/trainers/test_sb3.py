@@ -478,7 +478,7 @@ def test_portfolio_of_trained_policies_works_without_torch(trained, tmp_path):
     space = ContextSpace.grid({Linear("length", 0.1, 1.0, "m"): 3})
     returns = trainer.evaluate(trained, space.contexts, range(space.n)).mean(axis=1)[None, :]
     portfolio = Portfolio(
-        space, (0,), returns, Bounds(0, 500), 0.005,
+        space, (0,), returns, Bounds(0, 500),
         policy_folders=(tmp_path / "source-0000",), policy_format="sb3", load=trainer.load,
     )  # fmt: skip
     assert type(portfolio.policy(0)) is type(trained)

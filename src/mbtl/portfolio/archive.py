@@ -11,7 +11,6 @@ The format and what is safe to open: docs/portfolio-format.md.
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import importlib.metadata
 import json
@@ -45,9 +44,6 @@ KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"
 RETURNS = "returns.npz"
 OWNER = "a portfolio"
-
-_ASIDE = ".old-"
-"""Between a portfolio's name and what mkdtemp adds: where it is kept while it is replaced."""
 
 _RECORDED_LIBRARIES = ("mbtl", "numpy", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
 
@@ -237,13 +233,9 @@ def _swap(partial: Path, folder: Path) -> None:
     Whatever happens between the two renames, the old one is kept: it is put back here, or by the
     next `save`, and read where it is until then (`_standing`).
     """
-    if not (folder / MANIFEST).is_file():
-        partial.rename(folder)
-        sync_entries(folder.parent)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}{_ASIDE}", dir=folder.parent))
+    if (folder / MANIFEST).is_file():
+        folder.rename(_aside(folder))
     try:
-        folder.rename(aside / folder.name)
         partial.rename(folder)
         sync_entries(folder.parent)
     finally:
@@ -252,35 +244,23 @@ def _swap(partial: Path, folder: Path) -> None:
 
 def _put_back(folder: Path) -> None:
     """Undo a replacement that was cut short; where it was not, remove what it replaced."""
-    left = _left_aside(folder)
-    if left and not folder.exists():
-        left[-1].rename(folder)
-    if not (folder / MANIFEST).is_file():
-        return
-    for aside in _asides(folder):
-        (aside / folder.name / MANIFEST).unlink(missing_ok=True)  # what is half removed is none
-        shutil.rmtree(aside, ignore_errors=True)
+    old = _aside(folder)
+    if not folder.exists() and (old / MANIFEST).is_file():
+        old.rename(folder)
+    if (folder / MANIFEST).is_file():
+        (old / MANIFEST).unlink(missing_ok=True)  # what is half removed is none
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _standing(folder: Path) -> Path:
     """The folder; of a replacement that was cut short, the old portfolio where it was put."""
-    if folder.exists():
-        return folder
-    return next(reversed(_left_aside(folder.resolve())), folder)
+    old = _aside(folder.resolve())
+    return old if not folder.exists() and (old / MANIFEST).is_file() else folder
 
 
-def _left_aside(folder: Path) -> list[Path]:
-    """Portfolios that a killed process had moved aside, oldest first."""
-    found = [path / folder.name for path in _asides(folder)]
-    return [old for old in found if (old / MANIFEST).is_file()]
-
-
-def _asides(folder: Path) -> list[Path]:
-    """Folders that `_swap` made for this one, oldest first; they hold nothing else."""
-    found = folder.parent.glob(glob.escape(f".{folder.name}{_ASIDE}") + "?" * 8)  # by mkdtemp
-    ours = [p for p in found if p.is_dir() and not p.is_symlink()]
-    alone = [p for p in ours if {q.name for q in p.iterdir()} <= {folder.name}]
-    return sorted(alone, key=lambda path: path.stat().st_mtime_ns)
+def _aside(folder: Path) -> Path:
+    """Where a portfolio is while another one takes its place."""
+    return folder.with_name(f".{folder.name}.mbtl-replaced")
 
 
 def _versions() -> dict[str, str]:

@@ -9,7 +9,7 @@ Notation (shapes): k policies, N listed contexts.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,10 @@ from mbtl.files import MALFORMED
 from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
-from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
-from mbtl.portfolio.router import Choice, explanation
-from mbtl.routing import Indices, Routing
+from mbtl.portfolio.router import Choice, Forecast, forecast
+from mbtl.routing import Indices, Routing, rank
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,8 +39,6 @@ class Portfolio:
         sources: context index each policy was trained on; a source may occur twice.
         returns: (k, N) raw mean returns; NaN where a policy was not evaluated.
         bounds: normalisation of returns, with the direction that is better.
-        theta: slope of the linear gap, performance per grid step; used where no listed context is
-            near.
         episodes: k arrays (N, E_i), the returns of single episodes, of which `returns` are the
             means; none: returns count as exact.
         risk: share of the contexts, the worst of them, that V is the mean of.
@@ -62,7 +59,6 @@ class Portfolio:
     sources: tuple[int, ...]
     returns: Array
     bounds: Bounds
-    theta: float
     episodes: Sequence[Array] = ()
     risk: float = 1.0
     policy_folders: Sequence[Path | None] = ()
@@ -125,8 +121,6 @@ class Portfolio:
             raise InvalidInput(
                 f"risk is the share of the worst contexts, in (0, 1], got {self.risk!r}"
             )
-        if not (np.isfinite(self.theta) and self.theta >= 0):
-            raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -160,50 +154,42 @@ class Portfolio:
         Raises:
             ContextMismatch: the context lies outside the axes.
         """
-        beliefs = self.routing.beliefs
-        seen = router.forecast(self.space, self.sources, beliefs, self.theta, context)
-        ranking = seen.ranking(self.sources)
-        best, runner_up = ranking[0], ranking[1] if len(ranking) > 1 else None
+        seen = forecast(self.space, self.sources, self.routing.beliefs, context)
+        ranking = rank(seen.performance, seen.distance, np.asarray(self.sources, dtype=np.intp))
+        best, runner_up = int(ranking[0]), int(ranking[1]) if len(ranking) > 1 else None
         returns = self.bounds.denormalise(seen.performance)
         if seen.target is not None:  # the number itself where it is believed, free of rounding
             as_measured = seen.performance == self.performance[:, seen.target]
             returns = np.where(as_measured, self.returns[:, seen.target], returns)
-        predicted, margin, margin_error = float(returns[best]), None, None
-        if runner_up is not None:
-            margin = abs(predicted - float(returns[runner_up]))
-            margin_error = self._error(seen, best, runner_up)
-        source = self.sources[best]
-        choice = Choice(
+        predicted, source = float(returns[best]), self.sources[best]
+        behind = None if runner_up is None else abs(predicted - float(returns[runner_up]))
+        return Choice(
             policy=best,
             source=source,
             source_context=self.space.context(source),
+            trained_on=self.trained_on(best),
             predicted_return=predicted,
             error=self._error(seen, best),
             basis=seen.basis[best],
             runner_up=runner_up,
-            margin=margin,
-            margin_error=margin_error,
-            explanation="",
+            margin=behind,
+            margin_error=None if runner_up is None else self._error(seen, best, runner_up),
         )
-        alike = runner_up is not None and seen.distance[best] == seen.distance[runner_up]
-        where = self.trained_on(best)
-        sentence = explanation(where, choice, float(seen.distance[best]), bool(alike))
-        return replace(choice, explanation=sentence)
 
     def trained_on(self, policy: int) -> str:
         """What a policy was trained on, in words: a context, or "all contexts"."""
         return self.space.describe_set(self.sets.get(policy, (self.sources[policy],)))
 
-    def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
+    def _error(self, seen: Forecast, policy: int, less: int | None = None) -> float | None:
         """Error of a policy's number, or of its lead over another; raw units, None: unknown.
 
         Luck that policies share is in a return and cancels in a difference between two.
         """
-        row, target, weights = seen.parts(policy)
+        row = np.full(len(seen.weights), policy)
+        target, weights = seen.judged_on, seen.weights
         if less is not None:
-            other, there, against = seen.parts(less)
-            row, target = np.append(row, other), np.append(target, there)
-            weights = np.append(weights, -against)
+            row, target = np.append(row, np.full(len(row), less)), np.tile(target, 2)
+            weights = np.append(weights, -weights)
         beliefs = self.routing.beliefs
         if not self.routing.noise_is_known and beliefs.measured[row, target].any():
             return None
@@ -267,7 +253,6 @@ class Portfolio:
             "cmdp": self.cmdp,
             "space": self.space.to_json(),
             "bounds": {k: v for k, v in asdict(bounds).items() if v is not None},
-            "theta": self.theta,
             "sources": list(self.sources),
             "risk": self.risk,
             "policy_format": self.policy_format,
@@ -351,7 +336,6 @@ def load_portfolio(
             sources=tuple(record["sources"]),
             returns=arrays["returns"],
             bounds=Bounds(**record["bounds"]),
-            theta=record["theta"],
             episodes=[_played(each) for each in arrays.get("episodes", ())],
             risk=record.get("risk", 1.0),
             policy_folders=folders,

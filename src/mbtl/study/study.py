@@ -332,7 +332,6 @@ class Study:
             tuple(row.source for row in rows),
             np.array([row.returns for row in rows]).reshape(-1, self.space.n),
             self.bounds,
-            self.problem.theta,
             episodes=tuple(row.each for row in rows),
             risk=spec.risk,
             policy_folders=folders,
