@@ -1,7 +1,5 @@
 """Pictures are checked by what is drawn in them: lines, cells, marks and scales."""
 
-import contextlib
-
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -9,7 +7,9 @@ from matplotlib.figure import Figure
 
 import mbtl
 from flat import created
+from mbtl.plot.maps import LABELS
 from mbtl.plot.style import distinct
+from mbtl.selectors.outlook import outlook
 from mbtl.zoo.benchmark import TransferMatrix
 
 N = 20
@@ -125,13 +125,22 @@ def test_many_values_of_a_third_axis_are_nine_maps_that_say_how_much_they_show()
     assert len(panels) == 9
     assert "(1089 of 1210 contexts)" in panels[0].figure.get_suptitle()
     assert {panels[0].get_title("left"), panels[8].get_title("left")} == {"z 0", "z 1"}
+
+
+def test_more_axes_are_one_map_at_the_middle_of_the_others_and_points_one_of_all():
+    axes = {"a": 5, "b": 4, "c": 3, "d": 3}
+    space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
+    study = study_on(space, 2)
+    ax = mbtl.plot.policy_map(study)
+    assert "at c 0.5, d 0.5" in ax.get_title("left")
+    middle = study.routing.route.reshape(5, 4, 3, 3)[:, :, 1, 1]
+    codes = np.asarray(ax.collections[0].get_array())
+    np.testing.assert_array_equal(codes.T, np.searchsorted(np.unique(study.routing.route), middle))
+    turned = mbtl.plot.policy_map(study, over=("c", "d"))
+    assert turned.collections[0].get_array().shape == (3, 3)
     points = mbtl.ContextSpace.sample(space.axes, 40, seed=0)
-    study = created(points, budget=2, bounds=(0.0, 1.0), strategy="random")
-    for _ in range(2):
-        pick = study.ask()
-        study.tell(pick, row(points, pick.source))
-    panels = mbtl.plot.policy_map(study)  # no grid: ranges, with all of its points
-    assert sum(len(panel.collections[0].get_offsets()) for panel in panels) == 40
+    ax = mbtl.plot.policy_map(study_on(points, 2, "random"))
+    assert len(ax.collections[0].get_offsets()) == 40
 
 
 def test_colours_of_policies_are_told_apart():
@@ -155,31 +164,31 @@ def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
     assert len(set(heights)) == 3
 
 
-def test_two_axes_are_a_map_with_its_colour_scale_and_the_sources_in_it():
+def test_two_axes_are_a_map_of_the_policies_or_of_what_the_model_believed():
     study = study_on(PLANE)
-    ax = mbtl.plot.heatmap(PLANE, study.routing.served, sources=study.history.sources)
-    mesh = ax.collections[0]
-    assert mesh.get_array().shape == (5, 6)
-    assert mesh.get_array()[2, 3] == pytest.approx(study.routing.served[3 * 5 + 2])
+    chart = mbtl.plot.policy_map(study)
+    legend = legend_of(chart)
+    assert np.unique(chart.collections[0].get_array()).tolist() == list(range(len(legend)))
+    assert set(legend) == set(study.routing.route.tolist())
+    ax = mbtl.plot.model(study)
+    believed = outlook(study.problem, study.history, "mbtl", after=4).mean
+    assert ax.collections[0].get_array()[2, 3] == pytest.approx(believed[3 * 5 + 2])
+    assert ax.collections[0].get_array().shape == (5, 6)
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
     assert texts(ax) == ["1", "2", "3", "4"]
-    assert "performance" in [other.get_ylabel() for other in ax.figure.axes]
-    turned = mbtl.plot.heatmap(PLANE, study.routing.served, over=("length", "mass"))
-    assert turned.collections[0].get_array().shape == (6, 5)
-    chart = mbtl.plot.policy_map(study)
-    assert np.unique(chart.collections[0].get_array()).tolist() == list(
-        range(len(legend_of(chart)))
-    )
-    assert set(legend_of(chart)) == set(study.routing.route.tolist())
+    assert LABELS["mean"] in [other.get_ylabel() for other in ax.figure.axes]
 
 
-def test_what_cannot_be_a_map_is_said():
-    with pytest.raises(mbtl.MbtlError, match="one per context"):
-        mbtl.plot.heatmap(PLANE, [1.0])
-    with pytest.raises(mbtl.MbtlError, match="two of the axes"):
-        mbtl.plot.heatmap(PLANE, np.zeros(30), over=("mass", "mass"))
-    with pytest.raises(mbtl.MbtlError, match="rows to be fitted"):
-        mbtl.plot.model(study_on(LINE, 1), 0)
+def test_what_cannot_be_drawn_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    for draw, words in (
+        (lambda: mbtl.plot.policy_map(study_on(PLANE, 1), over=("mass", "mass")), "two of the axe"),
+        (lambda: mbtl.plot.model(study_on(LINE, 1), 0), "rows to be fitted"),
+        (lambda: mbtl.plot.matrix("toy.npz"), r"matrix\(mbtl.TransferMatrix.load\('toy"),
+        (lambda: mbtl.plot.save(mbtl.plot.curve([0.1]), tmp_path / "file/x.png"), "another place"),
+    ):
+        with pytest.raises(mbtl.MbtlError, match=words):
+            draw()
 
 
 def test_the_model_is_the_selectors_own_and_the_triangle_is_the_pick_that_came_next():
@@ -210,17 +219,6 @@ def test_a_matrix_of_fewer_sources_than_targets_has_as_many_rows():
     assert np.asarray(first) == pytest.approx(returns[0])
 
 
-def test_six_axes_are_one_map_at_the_middle_of_the_others():
-    axes = dict.fromkeys("abcdef", 3) | {"a": 5, "b": 4}
-    space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
-    study = study_on(space, 2)
-    ax = mbtl.plot.policy_map(study)
-    assert "at c 0.5, d 0.5, e 0.5, f 0.5" in ax.get_title("left")
-    middle = study.routing.route.reshape(5, 4, 3, 3, 3, 3)[:, :, 1, 1, 1, 1]
-    codes = np.asarray(ax.collections[0].get_array())
-    np.testing.assert_array_equal(codes.T, np.searchsorted(np.unique(study.routing.route), middle))
-
-
 @pytest.mark.parametrize("ending", ["png", "svg"])
 def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     path = mbtl.plot.save(mbtl.plot.curve(study_on(LINE, 2)), tmp_path / "new" / f"x.{ending}")
@@ -238,21 +236,13 @@ def test_a_curve_has_the_intervals_of_the_episodes_it_is_of():
     assert "estimated" in ax.get_legend_handles_labels()[1][0]
 
 
-def test_the_name_of_a_matrix_is_answered_with_the_way_to_open_it():
-    with pytest.raises(
-        mbtl.InvalidInput, match=r"mbtl.plot.matrix\(mbtl.TransferMatrix.load\('toy"
-    ):
-        mbtl.plot.matrix("toy.npz")
-
-
-def test_a_picture_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(mbtl.MbtlError, match="choose another place"):
-        mbtl.plot.save(mbtl.plot.curve([0.1]), tmp_path / "file" / "x.png")
-
-
-def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
-    comparison, printed = mbtl_table
+def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_command, monkeypatch):
+    names, synthetic = ["random", "greedy", "oracle"], "synthetic:linear-gap"
+    comparison = mbtl.compare(names, [synthetic], budget=3, seeds=1)
+    command = ("bench", "--matrix", synthetic, "--budget", "3", "--seeds", "1")
+    monkeypatch.setenv("COLUMNS", "90")
+    _, printed, _ = mbtl_command(*command, "--selectors", ",".join(names))
+    printed = "\n".join(line.rstrip() for line in printed.splitlines())
     assert repr(comparison) == printed.rstrip("\n")
     frame = comparison.to_frame()
     assert list(frame.columns) == ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
@@ -263,28 +253,12 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
     lines = {line.get_label(): line.get_ydata() for line in comparison.plot().get_lines()}
     (one,) = comparison.summary.matrices.values()
     assert lines["Random"] == pytest.approx(one.random)
-    assert lines["greedy"] == pytest.approx(
-        next(r for r in comparison.results if r.selector == "greedy").performance
-    )
+    assert lines["greedy"] == pytest.approx(run.performance)
     chance = frame[frame.selector == "random"]  # as in the table: exact, of no one order
     assert chance.V.tolist() == pytest.approx(one.random)
     assert chance.source.isna().all()
     with pytest.raises(mbtl.MbtlError, match=r"matrix must be one of .* plot\('synthetic"):
         comparison.plot("other")
-
-
-@pytest.fixture
-def mbtl_table(monkeypatch, capsys):
-    from mbtl.cli import main
-
-    names = ["random", "greedy", "oracle"]
-    arguments = ["bench", "--matrix", "synthetic:linear-gap", "--budget", "3", "--seeds", "1"]
-    monkeypatch.setattr("sys.argv", ["mbtl", *arguments, "--selectors", ",".join(names)])
-    monkeypatch.setenv("COLUMNS", "90")
-    with contextlib.suppress(SystemExit):
-        main()
-    printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())
-    return mbtl.compare(names, ["synthetic:linear-gap"], budget=3, seeds=1), printed
 
 
 def test_what_people_print_in_a_notebook_is_short():

@@ -8,14 +8,13 @@ here that a table does not show. No display is needed, and no picture is shown b
 """
 
 from mbtl.plot.curves import comparison, curve
-from mbtl.plot.maps import heatmap, model, policy_map
+from mbtl.plot.maps import model, policy_map
 from mbtl.plot.matrices import matrix
 from mbtl.plot.style import save, style
 
 __all__ = [
     "comparison",
     "curve",
-    "heatmap",
     "matrix",
     "model",
     "policy_map",

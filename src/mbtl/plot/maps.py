@@ -1,4 +1,4 @@
-"""Maps over the contexts: a value per context, or which policy serves it and how well."""
+"""Maps over the contexts: which policy serves each and how well, and what a model believed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from textwrap import shorten
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, ContextSpace, Value
@@ -33,51 +33,6 @@ _BY = "by the episodes that chose"
 
 
 @styled
-def heatmap(
-    space: ContextSpace,
-    values: ArrayLike,
-    *,
-    label: str = "performance",
-    sources: Sequence[int] = (),
-    over: tuple[str, str] | None = None,
-    ax: Any = None,
-) -> Any:
-    """A value per context: a map over two axes with its colour scale, a line over one.
-
-    Args:
-        space: the N contexts.
-        values: (N,) one per context.
-        label: what they are, with their unit.
-        sources: contexts trained on, in order; each is marked with its number.
-        over: names of the two axes of the map; None: those with the most values. Others are
-            averaged.
-        ax: axes to draw on; None: new ones.
-
-    Raises:
-        InvalidInput: `values` are not one per context.
-    """
-    shown = np.asarray(values, dtype=np.float64)
-    if shown.shape != (space.n,):
-        raise InvalidInput(f"values must be one per context ({space.n},), got {shown.shape}")
-    ax = axes_for(ax, height=3.2 if space.d == 1 else 3.8)
-    if space.d == 1:
-        axis = space.axes[0]
-        x = positions(axis, space.values(axis.name))
-        order = np.argsort(x)
-        ax.plot(x[order], shown[order], "-" if space.n > 60 else ".-")
-        dress(ax, axis)
-        ax.set_ylabel(label)
-        number(ax, x[list(sources)])
-        return ax
-    first, second = _pair(space, over)
-    x, y = (positions(axis, space.values(axis.name)) for axis in (first, second))
-    mesh = _mesh(ax, first, second, cells(x, y, shown)[:3])
-    ax.figure.colorbar(mesh, ax=ax, label=label)
-    _mark(ax, x, y, dict(enumerate(sources)))
-    return ax
-
-
-@styled
 def policy_map(
     result: Study | Portfolio, *, over: tuple[str, str] | None = None, ax: Any = None
 ) -> Any:
@@ -87,10 +42,9 @@ def policy_map(
     policy stands where it serves, and the legend says what it was trained on and how many contexts
     it serves; numbers in frames stand at the contexts trained on.
 
-    On one axis performance is drawn along it. On two it is a map. On three to five there is a map
-    for each value of the other axes: at most nine maps, whose values are evenly spread where there
-    are more; for ranges of values where contexts are no grid. On six and more it is one map, at the
-    middle values of the others.
+    On one axis performance is drawn along it. On two it is a map. On a grid of three axes there is
+    a map for each value of the third, at most nine, evenly spread; of more axes it is one map, at
+    the middle values of the others. Contexts that are no grid are points of one map.
 
     Args:
         result: a study with rows, or a portfolio.
@@ -107,8 +61,7 @@ def policy_map(
     if space.d == 1:
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
     first, second = _pair(space, over)
-    others = [axis for axis in space.axes if axis not in (first, second)]
-    facets = _facets(space, others)
+    facets = _facets(space, [axis for axis in space.axes if axis not in (first, second)])
     if len(facets) == 1:
         one, (where, here) = axes_for(ax, 6.8, 4.2), facets[0]
         lined = _territory(result, patches, one, (first, second), here)
@@ -212,7 +165,7 @@ def _territory(
     if space.shape is None:
         ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
     else:  # one context in a cell
-        across, up, table, _ = cells(x[here], y[here], code)
+        across, up, table = cells(x[here], y[here], code)
         ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
         served = cells(x[here], y[here], routing.served[here])[2]
         ordered = not any(isinstance(axis, Categorical) for axis in drawn)
@@ -248,20 +201,23 @@ def _name(ax: Any, policy: int, x: float, y: float, xytext: tuple[int, int] = (0
 
 def _facets(space: ContextSpace, others: Sequence[Axis]) -> list[tuple[str, NDArray[np.intp]]]:
     """Contexts by the values of the axes that a map does not show, with words for them."""
-    facets = [("", np.ones(space.n, dtype=bool))]
-    for axis in others:
-        most = int(_MOST_MAPS ** (1.0 / len(others)))
-        names, group = _groups(axis, space.values(axis.name), most, runs=space.shape is None)
-        last = len(names) - 1
-        some = (
-            np.unique(np.linspace(0, last, most).round().astype(int)) if most > 1 else [last // 2]
-        )
+    facets = [("", np.arange(space.n))]
+    for axis in others if space.shape is not None else ():
+        levels = list(dict.fromkeys(space.values(axis.name)))
+        group = np.array([levels.index(value) for value in space.values(axis.name)])
+        some = np.array([len(levels) // 2])
+        if len(others) == 1:
+            some = np.linspace(0, len(levels) - 1, min(len(levels), _MOST_MAPS)).round()
         facets = [
-            (f"{words}, {axis.name} {names[k]}".removeprefix(", "), mask & (group == k))
-            for words, mask in facets
-            for k in some
+            (f"{words}, {axis.name} {_said(levels[k])}".removeprefix(", "), here[group[here] == k])
+            for words, here in facets
+            for k in some.astype(int).tolist()
         ]
-    return [(words, np.flatnonzero(mask)) for words, mask in facets if mask.any()]
+    return facets
+
+
+def _said(value: Value) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 # ---- inside --------------------------------------------------------------------------------------
@@ -276,14 +232,6 @@ def _pair(space: ContextSpace, over: tuple[str, str] | None) -> tuple[Axis, Axis
     return by_name[names[0]], by_name[names[1]]
 
 
-def _mesh(ax: Any, first: Axis, second: Axis, table: tuple[Array, Array, Array]) -> Any:
-    across, up, means = table
-    mesh = ax.pcolormesh(edges(first, across), edges(second, up), means)
-    dress(ax, first, "x")
-    dress(ax, second, "y")
-    return mesh
-
-
 def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
     """The number of every policy in a frame at its context, those of one place together."""
     together: dict[tuple[float, float], list[str]] = {}
@@ -292,21 +240,6 @@ def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
     box = {"boxstyle": "round,pad=0.18", "fc": "white", "ec": "black", "lw": 0.6, "alpha": 0.9}
     for (across, up), numbers in together.items():
         ax.text(across, up, ",".join(numbers), fontsize=7, ha="center", va="center", bbox=box)
-
-
-def _groups(
-    axis: Axis, values: Sequence[Value], most: int, *, runs: bool
-) -> tuple[list[str], NDArray[np.intp]]:
-    """Names of an axis's values, or of at most so many runs of them, and which each context has."""
-    if isinstance(axis, Categorical):
-        kinds = list(dict.fromkeys(values))
-        return [str(kind) for kind in kinds], np.array([kinds.index(v) for v in values])
-    levels, group = np.unique(np.asarray(values, dtype=float), return_inverse=True)
-    parts = np.array_split(np.arange(len(levels)), min(len(levels), most) if runs else len(levels))
-    bar = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    ends = [(levels[part[0]], levels[part[-1]]) for part in parts]
-    names = [f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in ends]
-    return names, bar[group]
 
 
 # ---- what a selector's model believed ------------------------------------------------------------
@@ -327,7 +260,8 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
 
     On one axis: mean and 95 % band of the training performance, the policies as dots, and along
     the bottom, on a scale of its own, the expected gain; a triangle is the pick that came next. On
-    two axes: a map of `show`. Selectors without a model are drawn with that of `specialists`.
+    more axes: a map of `show` over the two with the most values, the others averaged. Selectors
+    without a model are drawn with that of `specialists`.
 
     Args:
         study: with one or more rows.
@@ -345,11 +279,18 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
         raise StudyError(f"a model needs rows to be fitted to, got {k} that say nothing")
     title = f"{found.model} after {k} training{'s' * (k != 1)}"
     taken, coming = history.sources[:k], history.sources[k : k + 1]
+    ax, axis = axes_for(ax, height=3.6), space.axes[0]
     if space.d > 1:
-        ax = heatmap(space, getattr(found, show), label=LABELS[show], sources=taken, ax=ax)
+        drawn = _pair(space, None)
+        x, y = (positions(one, space.values(one.name)) for one in drawn)
+        across, up, means = cells(x, y, getattr(found, show))
+        mesh = ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), means)
+        for one, side in zip(drawn, "xy", strict=True):
+            dress(ax, one, side)
+        ax.figure.colorbar(mesh, ax=ax, label=LABELS[show])
+        _mark(ax, x, y, dict(enumerate(taken)))
         ax.set_title(title)
         return ax
-    ax, axis = axes_for(ax, height=3.6), space.axes[0]
     x = positions(axis, space.values(axis.name))
     order = np.argsort(x)
     low, high = found.mean - _SURE * found.std, found.mean + _SURE * found.std

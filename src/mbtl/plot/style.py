@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, Log, Value
@@ -185,12 +184,11 @@ def number(
         )  # fmt: skip
 
 
-def cells(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+def cells(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array]:
     """Values per context as a table over two axes; contexts of one cell are averaged.
 
     Returns:
-        (nx,) and (ny,) levels, (ny, nx) means, NaN where there is no context, and (N,) the flat
-        cell of each context.
+        (nx,) and (ny,) levels, and (ny, nx) means, NaN where there is no context.
     """
     across, column = np.unique(x, return_inverse=True)
     up, row = np.unique(y, return_inverse=True)
@@ -198,4 +196,4 @@ def cells(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array, NDArr
     count = np.bincount(cell, minlength=len(across) * len(up)).astype(float)
     total = np.bincount(cell, values, minlength=len(count))
     means = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-    return across, up, means.reshape(len(up), len(across)), cell
+    return across, up, means.reshape(len(up), len(across))
