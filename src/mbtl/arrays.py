@@ -1,5 +1,6 @@
 """The array type of the core: float64 everywhere, shapes in the docstrings."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,3 +23,23 @@ def python_value(value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} {value!r}")
+
+
+def plain(value: Any, array: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> Any:
+    """The value with numpy types made Python's, and NaN and infinity made None, for JSON.
+
+    Args:
+        value: dicts and lists of numbers, texts and arrays.
+        array: what stands for an array.
+    """
+    if isinstance(value, dict):
+        return {str(key): plain(item, array) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, array) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(array(value), array)
+    if isinstance(value, np.generic):
+        return plain(value.item(), array)
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -19,12 +19,12 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, TextIO, cast
 
-import numpy as np
 import typer
 from rich.console import Console, ConsoleOptions
 from rich.segment import Segment
 from typer.core import TyperCommand
 
+from mbtl.arrays import plain
 from mbtl.errors import Notice, cannot_write
 from mbtl.faults import harmless, traceback_of, writable
 from mbtl.files import from_home
@@ -250,18 +250,3 @@ def print_json(document: Any) -> None:
     to = _documents[-1] if _documents else _output
     to.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
     to.flush()
-
-
-def plain(value: Any) -> Any:
-    """The value with numpy types made Python's, and NaN and infinity made None."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

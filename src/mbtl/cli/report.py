@@ -74,7 +74,7 @@ def report(
     found = made()
     while live is not None and not all(subject.finished for subject in found):
         write_page(found, out, refresh=live)
-        told = ", ".join(f"{one.name}: {one.progress}" for one in found)
+        told = ", ".join(f"{one.name}: {len(one.history)} told" for one in found)
         console.say(f"{out}: {told}; Ctrl-C ends")
         time.sleep(live)
         found = made()

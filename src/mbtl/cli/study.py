@@ -17,6 +17,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from mbtl.arrays import plain
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
@@ -154,8 +155,6 @@ def export(
     """
     import csv
     import json
-
-    from mbtl.cli.common import plain
 
     if out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"an export ends in .json or .csv, got {out.name!r}")

@@ -8,47 +8,36 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.plot.style import distinct
 from mbtl.report.subject import Subject
-from mbtl.routing import rank
+from mbtl.routing import Routing, rank
 from mbtl.selectors.outlook import outlook
 
 
 def content(subject: Subject) -> dict[str, Any]:
-    """Everything that the page of a subject shows."""
+    """Everything that the pictures of a subject show."""
     space, history = subject.space, subject.history
+    told = subject.picks[: len(history)]
     found: dict[str, Any] = {
         "kind": subject.kind,
-        "name": subject.name,
         "selector": subject.selector,
-        "sentences": list(subject.sentences),
         "axes": axes_of(subject.space),
         "isGrid": space.shape is not None,
         "n": space.n,
         "sources": list(history.sources),
-        "trained": [pick.trained_on(space) for pick in subject.picks[: len(history)]],
-        "curve": {
-            "values": list(subject.values),
-            "units": list(subject.units),
-            "of": subject.values_of,
-        },
+        "trained": [pick.trained_on(space) for pick in told],
+        "reasons": [pick.reason for pick in told],
+        "curve": {"values": list(subject.values), "units": list(subject.units)},
         "baselines": {name: np.asarray(rows) for name, rows in subject.baselines.items()},
         "levels": dict(subject.levels),
-        "picks": _picks(subject),
-        "provenance": dict(subject.provenance),
-        "finished": subject.finished,
         "rows": history.rows,
     }
     if subject.measured is not None and subject.sources is not None:
         found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}
     if (routing := subject.routing) is not None:
-        sources = np.asarray(routing.sources)
-        served = served_by(routing.believed, sources, routing.route, space.steps)
-        found |= {"served": served, "steps": _steps(subject)}
+        found |= {"served": served_by(routing), "steps": _steps(subject)}
     return found
 
 
@@ -72,42 +61,10 @@ def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
     return out
 
 
-def _picks(subject: Subject) -> list[dict[str, Any]]:
-    """What each added, beside what was promised of it."""
-    values = subject.values
-    gains = np.diff(values, prepend=np.nan)
-    out = []
-    for i, pick in enumerate(subject.picks):
-        told = i < len(values)
-        out.append(
-            {
-                "source": pick.source,
-                "context": pick.trained_on(subject.space),
-                "reason": pick.reason,
-                "status": pick.status,
-                "value": float(values[i]) if told else None,
-                "gained": float(gains[i]) if told else None,
-                "promised": pick.promised if i else None,
-                "seconds": pick.seconds,
-                "cost": pick.cost,
-                "traceback": pick.traceback,
-            }
-        )
-    return out
-
-
-def served_by(
-    believed: Array, sources: NDArray[np.intp], route: NDArray[np.intp], steps: Array
-) -> dict[str, Any]:
-    """Who serves each context, how well, and who would if not.
-
-    Args:
-        believed: (k, N) performance.
-        sources: (k,) context of each policy.
-        route: (N,) position of the policy that serves.
-        steps: (N, D) grid steps of the contexts.
-    """
-    every = np.arange(believed.shape[1])
+def served_by(routing: Routing) -> dict[str, Any]:
+    """Who serves each context, how well, and who would if not."""
+    believed, route, steps = routing.believed, routing.route, routing.space.steps
+    sources, every = np.asarray(routing.sources), np.arange(routing.space.n)
     second = np.full(len(every), -1)
     if len(sources) > 1:
         for target in every.tolist():
@@ -125,8 +82,7 @@ def served_by(
 
 def _steps(subject: Subject) -> dict[str, Any]:
     """What the model believed after each training, and who served; (k, N) each."""
-    k, n, routing = len(subject.history), subject.space.n, subject.routing
-    assert routing is not None
+    k, n = len(subject.history), subject.space.n
     means, stds, gains = (np.full((k, n), np.nan) for _ in range(3))
     model = subject.selector
     for j in range(1, k + 1):

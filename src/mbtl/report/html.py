@@ -61,8 +61,8 @@ def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
     parts = {
         "TITLE": html.escape(title),
         "CSS": _file("page.css"),
-        "BODY": "\n".join(_article(i, item) for i, item in enumerate(items)),
-        "CHOICE": _choice(items),
+        "BODY": "\n".join(map(_article, range(len(items)), subjects, items)),
+        "CHOICE": _choice(subjects),
         "REFRESH": "" if refresh is None else f'<meta name="mbtl-refresh" content="{refresh:g}">',
         "VERSION": html.escape(__version__),
         "DATA": packed(items),
@@ -85,60 +85,59 @@ def _file(name: str) -> str:
     return (resources.files("mbtl.report") / "page" / name).read_text(encoding="utf-8")
 
 
-def _choice(items: list[dict[str, Any]]) -> str:
-    if len(items) == 1:
+def _choice(subjects: Sequence[Subject]) -> str:
+    if len(subjects) == 1:
         return ""
     options = "".join(
-        f'<option value="{i}">{html.escape(item["name"])} ({item["kind"]})</option>'
-        for i, item in enumerate(items)
+        f'<option value="{i}">{html.escape(one.name)} ({one.kind})</option>'
+        for i, one in enumerate(subjects)
     )
     return f'<label>Show <select id="which">{options}</select></label>'
 
 
-def _article(i: int, item: dict[str, Any]) -> str:
-    e = html.escape
-    told = [pick for pick in item["picks"] if pick["status"] == "told"]
-    state = "finished" if item["finished"] else "under way"
+def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
+    """All of one subject, of which only the first is shown at once."""
+    told, space = len(subject.history), subject.space
+    facts = f"{subject.selector}, {told} trainings, {space.n} contexts"
+    if subject.kind == "study":
+        facts += ", finished" if subject.finished else ", under way"
     parts = [
-        *_opening(
-            i,
-            item["name"],
-            f"{item['selector']}, {len(told)} trainings, {item['n']} contexts"
-            f"{', ' + state if item['kind'] == 'study' else ''}",
-        ),
-        *(f"<p>{e(line)}</p>" for line in item["sentences"]),
+        f'<article data-item="{i}"{" hidden" if i else ""}>',
+        f"<h1>{html.escape(subject.name)}</h1>",
+        f'<p class="facts">{html.escape(facts)}</p>',
+        *(f"<p>{html.escape(line)}</p>" for line in subject.sentences),
     ]
     if told:
         parts += [
-            _section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
-            _picks(item["picks"]),
+            _section("curve", "V after each training", f"V is measured on {subject.values_of}."),
+            _picks(subject),
             _section("policies", "Which policy serves which context", ""),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
-            *(
-                [_section("model", f"What the model believed ({item['steps']['model']})", _SCORE)]
-                if np.isfinite(item["steps"]["mean"]).any()
-                else []
-            ),
-            _section("heat", "Transfer: every policy on every context", ""),
         ]
-        if len(item["axes"]) > 2:
+        if np.isfinite(item["steps"]["mean"]).any():
+            believed = f"What the model believed ({item['steps']['model']})"
+            parts.append(_section("model", believed, _SCORE))
+        parts.append(_section("heat", "Transfer: every policy on every context", ""))
+        if space.d > 2:
             parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
-    parts += [_costs(item), _provenance(item["provenance"]), "</article>"]
-    return "\n".join(parts)
+    return "\n".join([*parts, _costs(subject), _provenance(subject.provenance), "</article>"])
 
 
-def _picks(picks: list[dict[str, Any]]) -> str:
-    rows = [
-        [
-            str(k),
-            pick["context"],
-            _number(pick["value"]),
-            _number(pick["gained"]),
-            _number(pick["promised"]),
-            pick["reason"] if pick["status"] == "told" else pick["status"],
-        ]
-        for k, pick in enumerate(picks, 1)
-    ]
+def _picks(subject: Subject) -> str:
+    """What each training added, beside what was promised of it."""
+    values, rows = list(subject.values), []
+    for k, pick in enumerate(subject.picks):
+        told = k < len(values)
+        rows.append(
+            [
+                str(k + 1),
+                pick.trained_on(subject.space),
+                _number(values[k] if told else None),
+                _number(values[k] - values[k - 1] if told and k else None),
+                _number(pick.promised if k else None),
+                pick.reason if pick.status == "told" else pick.status,
+            ]
+        )
     heads = ["k", "trained on", "V", "gained", "promised", "why"]
     note = (
         "<p>Gained: by how much V rose. Promised: the gain that the selector expected when it "
@@ -147,11 +146,10 @@ def _picks(picks: list[dict[str, Any]]) -> str:
     return f"<section><h2>What each training added</h2>{_table(heads, rows)}{note}</section>"
 
 
-def _costs(item: dict[str, Any]) -> str:
-    picks = item["picks"]
-    seconds = [pick["seconds"] for pick in picks if pick["seconds"] is not None]
-    costs = [pick["cost"] for pick in picks if pick["cost"] is not None]
-    failed = [pick for pick in picks if pick["status"].startswith("failed")]
+def _costs(subject: Subject) -> str:
+    seconds = [pick.seconds for pick in subject.picks if pick.seconds is not None]
+    costs = [pick.cost for pick in subject.picks if pick.cost is not None]
+    failed = [pick for pick in subject.picks if pick.status.startswith("failed")]
     lines = []
     if seconds:
         lines.append(
@@ -161,25 +159,16 @@ def _costs(item: dict[str, Any]) -> str:
     if any(cost != 1.0 for cost in costs):  # 1 is what a study counts that knows no costs
         lines.append(f"The trainings cost {sum(costs):g} in the unit of the study.")
     count = f"{len(failed)} training{'s' * (len(failed) != 1)} failed."
-    lines.append(count if failed else "No training failed." if item["kind"] == "study" else "")
+    lines.append(count if failed else "No training failed." if subject.kind == "study" else "")
     body = "".join(f"<p>{html.escape(line)}</p>" for line in lines if line)
     for pick in failed:
-        trace = html.escape(pick["traceback"] or "no traceback was recorded")
-        what = html.escape(f"{pick['context']}: {pick['status']}")
+        trace = html.escape(pick.traceback or "no traceback was recorded")
+        what = html.escape(f"{pick.trained_on(subject.space)}: {pick.status}")
         body += f"<details><summary>{what}</summary><pre>{trace}</pre></details>"
     return f"<section><h2>Costs, times, failures</h2>{body}</section>" if body else ""
 
 
 # ---- parts that articles share ------------------------------------------------------------------
-
-
-def _opening(i: int, name: str, facts: str) -> list[str]:
-    """The beginning of article `i`, of which only the first is shown at once."""
-    return [
-        f'<article data-item="{i}"{" hidden" if i else ""}>',
-        f"<h1>{html.escape(name)}</h1>",
-        f'<p class="facts">{html.escape(facts)}</p>',
-    ]
 
 
 def _section(kind: str, title: str, said: str) -> str:
@@ -201,9 +190,9 @@ def _details(kind: str, title: str) -> str:
     )
 
 
-def _number(value: float | None, digits: int = 4) -> str:
+def _number(value: float | None) -> str:
     """Rounded, never minus zero; a dash where there is none."""
-    return "–" if value is None or value != value else f"{round(value, digits) + 0.0:.{digits}f}"
+    return "–" if value is None or value != value else f"{round(value, 4) + 0.0:.4f}"
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -13,10 +13,11 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-import math
 from typing import Any
 
 import numpy as np
+
+from mbtl.arrays import plain
 
 _MANY = 1_500_000
 """Entries beyond which one byte each has to do."""
@@ -25,7 +26,8 @@ _MANY = 1_500_000
 def packed(content: Any) -> str:
     """Nested dicts and lists with arrays in them -> text for a page; NaN become null."""
     blocks: list[bytes] = []
-    header = json.dumps(_plain(content, blocks), allow_nan=False, separators=(",", ":")).encode()
+    told = plain(content, lambda values: _array(values, blocks))
+    header = json.dumps(told, allow_nan=False, separators=(",", ":")).encode()
     start = len(header).to_bytes(4, "little") + header
     start += b" " * (-len(start) % 8)
     return compressed(start + b"".join(blocks))
@@ -44,20 +46,6 @@ def quantised(values: np.ndarray) -> tuple[np.ndarray, float, float]:
     share = (np.where(known, values, low) - low) / ((high - low) or 1.0)
     codes = np.where(known, np.round(share * top), top + 1).astype(kind)
     return codes, low, high
-
-
-def _plain(value: Any, blocks: list[bytes]) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item, blocks) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item, blocks) for item in value]
-    if isinstance(value, np.ndarray):
-        return _array(value, blocks)
-    if isinstance(value, np.generic):
-        return _plain(value.item(), blocks)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
 
 
 def _array(values: np.ndarray, blocks: list[bytes]) -> dict[str, Any]:

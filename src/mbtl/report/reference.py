@@ -29,30 +29,21 @@ class ReferenceCurves:
 
     Attributes:
         matrix: id of the matrix.
-        random: (S, K) Random, exact expectation.
-        greedy: (S, K) Greedy; empty where the contexts have more than one axis.
-        oracle: (S, K) Sequential Oracle.
+        baselines: name for people -> (S, K) V: Random (its exact expectation), Sequential Oracle,
+            and where the contexts have one axis Greedy.
         levels: V of what needs no selection, mean over seeds, by name for people: random actions,
             the system without a controller, the nominal context's policy, one random policy.
     """
 
     matrix: str
-    random: Array
-    greedy: Array
-    oracle: Array
+    baselines: Mapping[str, Array]
     levels: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def baselines(self) -> dict[str, Array]:
-        """The curves by name for people, (S, K) each; those there are."""
-        named = {"Random": self.random, "Greedy": self.greedy, "Sequential Oracle": self.oracle}
-        return {name: curves for name, curves in named.items() if len(curves)}
 
     @property
     def said(self) -> str:
         """Where they are from, and the levels, in a sentence."""
         values = ", ".join(f"{name} {value:.4f}" for name, value in self.levels.items())
-        where = f"On the shipped matrix of {self.matrix!r}, {len(self.random)} seeds"
+        where = f"On the shipped matrix of {self.matrix!r}, {len(self.baselines['Random'])} seeds"
         return f"{where}: other methods as drawn; without selection {values}."
 
 

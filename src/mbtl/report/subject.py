@@ -68,11 +68,6 @@ class Subject:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     finished: bool = True
 
-    @property
-    def progress(self) -> str:
-        """How far it is, in words."""
-        return f"{len(self.history)} told"
-
 
 def of_study(study: Study) -> Subject:
     """A study as it stands."""

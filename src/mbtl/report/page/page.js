@@ -227,10 +227,10 @@
         }
         traces.push({ x, y: mean(rows), mode: "lines", name, legendgroup: name, line: { width: 1.6, dash: DASHES[n % 6], color: colour } });
       });
-      const told = item.picks.slice(0, k.length);
+      const { values } = item.curve, gained = (j) => (j ? `gained ${fixed(values[j] - values[j - 1])}<br>` : "");
       traces.push({
-        x: k, y: item.curve.values, mode: "lines+markers", name: item.selector, line: { width: 3, color: css("--accent") }, marker: { size: 8 },
-        text: told.map((p) => `${p.context}<br>${p.gained === null ? "" : "gained " + fixed(p.gained) + "<br>"}${p.reason}`),
+        x: k, y: values, mode: "lines+markers", name: item.selector, line: { width: 3, color: css("--accent") }, marker: { size: 8 },
+        text: item.trained.map((what, j) => `${what}<br>${gained(j)}${item.reasons[j]}`),
         hovertemplate: "after %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
       });
       return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: plain("V") });
@@ -314,7 +314,7 @@
         { type: "heatmap", x, y, z, colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
         {
           type: "scatter", mode: "markers+text", x: marks.map((m) => m[0]), y: marks.map((m) => m[1]), text: marks.map((_, p) => p + 1), textfont: { color: "#000", size: 9 },
-          hovertext: item.picks.map((p) => p.context), hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
+          hovertext: item.trained, hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
         },
       ], { xaxis: side("target"), yaxis: whole ? side("source") : plain("policy, in the order of training", { dtick: item.rows.length > 20 ? undefined : 1, range: [item.rows.length + 0.5, 0.5] }) });
     },

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.report.reference import REFERENCE_NAMES, ReferenceCurves
 from mbtl.report.subject import Subject
@@ -36,18 +35,16 @@ def reference_curves(study: Study) -> ReferenceCurves | None:
         return None  # its V would be of something else
     budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
-    greedy: Array = np.empty((0, budget))
+    baselines = {"Random": np.array([k.random for k in known])}
     if study.problem.is_line:
         runs = compare(["greedy"], [matrix], budget, 1).results
-        greedy = np.array([run.performance for run in runs])
+        baselines["Greedy"] = np.array([run.performance for run in runs])
+    baselines["Sequential Oracle"] = np.array([k.oracle.curve for k in known])
     levels = [reference_levels(matrix, seed) for seed in seeds]
-    return ReferenceCurves(
-        name,
-        np.array([k.random for k in known]),
-        greedy,
-        np.array([k.oracle.curve for k in known]),
-        {REFERENCE_NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
-    )
+    named = {
+        REFERENCE_NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]
+    }
+    return ReferenceCurves(name, baselines, named)
 
 
 def of_file(
