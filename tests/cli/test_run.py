@@ -285,7 +285,7 @@ def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, simula
     failed = [p for p in json.loads(out)["picks"] if p["status"].startswith("failed")]
     assert failed
     assert "simulator crashed" in failed[0]["status"]
-    code, out, err = mbtl_command(*command, "--stop-on-failure", "--study", "strict")
+    code, out, err = mbtl_command(*command, "--stop-after-failures", "1", "--study", "strict")
     assert code == 1
     assert "simulator crashed" in err
     assert "portfolio: strict/portfolio" in out  # of the trainings that succeeded

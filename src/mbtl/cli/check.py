@@ -12,6 +12,7 @@ from rich.text import Text
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.contexts import Axis, Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput
+from mbtl.problems import CMDP, check_cmdp, load_object, resolve_cmdp
 
 _STYLE = {"passed": "green", "warning": "yellow", "failed": "bold red"}
 _FORM = "NAME=LOW:HIGH, NAME=LOW:HIGH:UNIT or NAME=a,b,c"
@@ -46,23 +47,23 @@ def check(
 
     Example: mbtl check my_simulator:make_env --axis length=0.1:2.0:m
     """
-    from mbtl.problems import check_cmdp, load_object, resolve_cmdp
-
-    own: Any = load_object(target) if ":" in target else None
-    if own is not None and (physics is not None or visibility is not None):
+    found: Any = load_object(target) if ":" in target else None
+    if found is None:
+        found = resolve_cmdp(target, physics=physics, visibility=visibility)
+    elif physics is not None or visibility is not None:
         raise InvalidInput(
             f"physics and visibility are switches of our CMDPs, got them with {target!r}; set them "
             "in your own code"
         )
-    problem, space = _own(own, target, axis or []) if own is not None else (None, None)
-    if problem is None:
-        if axis:
-            raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
-        problem = resolve_cmdp(target, physics=physics, visibility=visibility)
+    space = None
+    if not isinstance(found, CMDP):
+        space = _contexts(found, target, axis or [])
+    elif axis:
+        raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
     length = "" if steps is None else f", {steps} steps per rollout"
     console.print(Text(f"checking {target}{length}", "dim"))
     report = check_cmdp(
-        problem,
+        found,
         space,
         steps=steps,
         seed=seed,
@@ -75,17 +76,11 @@ def check(
     report.raise_if_failed()
 
 
-def _own(found: Any, target: str, axes: Sequence[str]) -> tuple[Any, ContextSpace | None]:
-    """A user's object as (CMDP, None) or (environment factory, its contexts)."""
-    from mbtl.problems import CMDP
-
-    if isinstance(found, CMDP):
-        if axes:
-            raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
-        return found, None
-    if not callable(found):
+def _contexts(made: Any, target: str, axes: Sequence[str]) -> ContextSpace:
+    """Contexts of a user's environment factory."""
+    if not callable(made):
         raise InvalidInput(
-            f"{target!r} must be a CMDP or a function context -> environment, got {type(found)}"
+            f"{target!r} must be a CMDP or a function context -> environment, got {type(made)}"
         )
     if not axes:
         raise InvalidInput(
@@ -93,9 +88,7 @@ def _own(found: Any, target: str, axes: Sequence[str]) -> tuple[Any, ContextSpac
         )
     # Three values per numeric axis: both ends are compared, around the middle of the others.
     parsed = map(parse_axis, axes)
-    return found, ContextSpace.grid(
-        {a: a.width if isinstance(a, Categorical) else 3 for a in parsed}
-    )
+    return ContextSpace.grid({a: a.width if isinstance(a, Categorical) else 3 for a in parsed})
 
 
 def parse_axis(text: str) -> Axis:

@@ -6,7 +6,6 @@ error.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
@@ -17,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TextIO, cast
+from typing import IO, Annotated, Any, TextIO, cast
 
 import typer
 from rich.console import Console, ConsoleOptions
@@ -30,46 +29,28 @@ from mbtl.faults import harmless, traceback_of, writable
 from mbtl.files import from_home
 
 
-class _Standard(io.TextIOBase):
-    """One of the two standard streams, as it is at the moment of writing.
+class _Stream:
+    """A standard stream that takes any text.
 
     Args:
-        name: of it in `sys`.
+        stream: as it is at the moment of writing.
         is_forgiving: what cannot be written is forgotten; else it is an error.
     """
 
-    def __init__(self, name: str, *, is_forgiving: bool) -> None:
-        self._name, self._is_forgiving = name, is_forgiving
+    def __init__(self, stream: TextIO, *, is_forgiving: bool) -> None:
+        self._stream, self._is_forgiving = stream, is_forgiving
 
     def write(self, text: str) -> int:
-        stream = self._stream
-        if stream is not None:
-            with self._trouble():
-                stream.write(writable(text, stream))
+        with self._trouble():
+            self._stream.write(writable(text, self._stream))
         return len(text)
 
     def flush(self) -> None:
-        if self._stream is not None:
-            with self._trouble():
-                self._stream.flush()
+        with self._trouble():
+            self._stream.flush()
 
-    def isatty(self) -> bool:
-        return self._stream is not None and self._stream.isatty()
-
-    def fileno(self) -> int:
-        if self._stream is None:
-            raise io.UnsupportedOperation("fileno")
-        return self._stream.fileno()
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        return getattr(self._stream, "encoding", None) or "utf-8"
-
-    @property
-    def _stream(self) -> TextIO | None:
-        found: TextIO | None = getattr(sys, self._name)  # a live display puts its own there
-        behind: TextIO | None = getattr(found, "rich_proxied_file", found)
-        return behind
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
     @contextmanager
     def _trouble(self) -> Iterator[None]:
@@ -84,12 +65,24 @@ class _Standard(io.TextIOBase):
 
 
 class Screen(Console):
-    """A console for texts of whatever origin, of whatever width and on whatever stream."""
+    """A console for texts of whatever origin, of whatever width and on whatever stream.
 
-    def __init__(self, stream: _Standard) -> None:
-        super().__init__(file=cast(TextIO, stream))
+    What is for standard error is never worth the work itself.
+    """
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr)
         if self.width < 1:  # COLUMNS=0
             self.width = max(shutil.get_terminal_size().columns, 1)
+
+    @property
+    def file(self) -> IO[str]:
+        """The stream of this moment: a live display puts its own there."""
+        return cast(IO[str], _Stream(cast(TextIO, super().file), is_forgiving=self.stderr))
+
+    @file.setter
+    def file(self, new: IO[str]) -> None:
+        self._file = new
 
     def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """All that is printed comes by here: escape sequences are rich's own, or are shown."""
@@ -105,9 +98,8 @@ class Screen(Console):
         raise
 
 
-console = Screen(_Standard("stderr", is_forgiving=True))
-"""Progress, notes and errors: always standard error, and never worth the work itself."""
-_output = _Standard("stdout", is_forgiving=False)
+console = Screen(stderr=True)
+"""Progress, notes and errors."""
 
 SILENCE = 60.0
 """Seconds after which a log, where there is no terminal, is told that long work goes on."""
@@ -242,11 +234,11 @@ class LongWork:
 
 def printer() -> Screen:
     """Console for the human-readable result on standard output."""
-    return Screen(_output)
+    return Screen()
 
 
 def print_json(document: Any) -> None:
     """Write one JSON document to standard output; NaN and infinity become null."""
-    to = _documents[-1] if _documents else _output
+    to = _documents[-1] if _documents else Screen().file
     to.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
     to.flush()

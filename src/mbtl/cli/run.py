@@ -92,7 +92,6 @@ def run(
     whole_budget: Annotated[bool, _stop("End only when all is spent.", "--all")] = False,
     no_report: Annotated[bool, _stop("No fresh episodes at the end.", "--no-report")] = False,
     report_all: Annotated[bool, _stop("Those on all contexts there are.", "--report-all")] = False,
-    stop_on_failure: Annotated[bool, _failed("End at the first one.", "--stop-on-failure")] = False,
     stop_after_failures: Annotated[int, _failed("End after so many in a row.")] = 3,
     retry_failed: Annotated[bool, _failed("Train those again.", "--retry-failed")] = False,
     timeout: Annotated[float | None, _failed("Seconds of a training at most.")] = None,
@@ -133,7 +132,7 @@ def run(
     recipe = cmdp.facts().settings["preset"]
     folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
     alone = Workers(parallel, timeout=timeout)
-    failing = Failures(1 if stop_on_failure else stop_after_failures,
+    failing = Failures(stop_after_failures,
                        retry_failed=retry_failed and workers is None,
                        rehearse=not no_rehearsal)  # fmt: skip
     if workers is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import shlex
 import time
 from collections.abc import Iterator
@@ -19,6 +21,7 @@ from rich.text import Text
 
 from mbtl.arrays import plain
 from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
 from mbtl.report.text import lines, show_causes, show_summary
@@ -153,54 +156,51 @@ def export(
 
     Example: mbtl study export runs/cartpole-length-quick-seed0 rows.csv
     """
-    import csv
-    import json
-
     if out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"an export ends in .json or .csv, got {out.name!r}")
     opened = open_study(study, name)
     state, space = opened.state, opened.space
-    names = [axis.name for axis in space.axes]
-    starts = [None if r.start is None else state.place_of(r.start) for r in state.rows]
+    rows: list[dict[str, Any]] = [
+        {
+            "policy": i,
+            "sources": r.sources,
+            "contexts": [space.context(s) for s in r.sources],
+            "start": None if r.start is None else state.place_of(r.start),
+            "length": r.length,
+            "returns": r.returns,
+            "std": r.std,
+            "episodes": r.episodes,
+        }
+        for i, r in enumerate(state.rows)
+    ]
     try:
         with out.open("w", encoding="utf-8", newline="") as file:
             if out.suffix == ".json":
-                rows = [
-                    {
-                        "policy": i,
-                        "sources": r.sources,
-                        "contexts": [space.context(s) for s in r.sources],
-                        "start": starts[i],
-                        "length": r.length,
-                        "returns": r.returns,
-                        "std": r.std,
-                        "episodes": r.episodes,
-                    }
-                    for i, r in enumerate(state.rows)
-                ]
                 document = {"summary": summarise_study(opened).to_json(), "rows": rows}
                 json.dump(plain(document), file, indent=2)
             else:
-                writer = csv.writer(file)
-                sources = [f"source_{n}" for n in names]
-                targets = [f"target_{n}" for n in names]
-                made = ["policy", "sources", "start", "length"]
-                writer.writerow([*made, *sources, "target", *targets, "return", "std", "episodes"])
-                for i, r in enumerate(state.rows):
-                    how = [i, " ".join(map(str, r.sources)), starts[i], r.length]
-                    one = len(r.sources) == 1  # several have no values of their own
-                    home = list(space.context(r.source).values()) if one else [None for _ in names]
-                    for t in range(space.n):
-                        there = list(space.context(t).values())
-                        writer.writerow(
-                            [*how, *home, t, *there, r.returns[t], r.std[t], r.episodes]
-                        )
+                csv.writer(file).writerows(_lines(rows, space))
     except OSError as error:
         raise cannot_write(out, error) from error
     if as_json:
-        print_json({"written": str(out), "rows": len(state.rows)})
+        print_json({"written": str(out), "rows": len(rows)})
     else:
-        printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
+        printer().print(Text(f"wrote {len(rows)} transfer rows to {out}"))
+
+
+def _lines(rows: list[dict[str, Any]], space: ContextSpace) -> Iterator[list[Any]]:
+    """A head, and a line per policy and target."""
+    names = [axis.name for axis in space.axes]
+    there = [f"{side}_{name}" for side in ("source", "target") for name in names]
+    there.insert(len(names), "target")
+    yield ["policy", "sources", "start", "length", *there, "return", "std", "episodes"]
+    for row in rows:
+        how = [row["policy"], " ".join(map(str, row["sources"])), row["start"], row["length"]]
+        one = len(row["sources"]) == 1  # several have no values of their own
+        home = row["contexts"][0].values() if one else [None] * len(names)
+        for t, target in enumerate(space.contexts):
+            measured = (row["returns"][t], row["std"][t], row["episodes"])
+            yield [*how, *home, t, *target.values(), *measured]
 
 
 def _databases(place: str) -> list[str | Path]:

@@ -21,7 +21,7 @@ from mbtl.cli.interrupts import interrupt_main
 from mbtl.cli.progress import LiveProgress
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.problems import CMDP, resolve_cmdp
-from mbtl.study import Callback, Pick, Study, load_study
+from mbtl.study import Study, load_study
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.database import PATIENCE, Patience
 from mbtl.study.runner import LEASE, Failures, Workers, run
@@ -132,7 +132,7 @@ def worker(
     alone = Workers(lease=lease, timeout=timeout)
     end = _end(wall_time, until)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
-    tally, over = _Tally(), threading.Event()
+    over = threading.Event()
     opened: Study | None = None
     with _spoken(), _alarm(end, over):
         try:
@@ -145,7 +145,7 @@ def worker(
                     trainer,
                     workers=alone,
                     failures=failures,
-                    callbacks=[live, tally],
+                    callbacks=[live],
                     report=False,
                     accept_changes=accept_changes,
                     may_begin=has_room,
@@ -163,23 +163,7 @@ def worker(
         why = "others are at the last trainings"
         if has_room is not None and not has_room():
             why = "no further training would end within the wall time"
-    _report(opened, tally, why, as_json=as_json)
-
-
-class _Tally(Callback):
-    """What became of the trainings of this worker."""
-
-    def __init__(self) -> None:
-        self.counts = {"told": 0, "failed": 0, "lost": 0}
-
-    def on_told(self, study: Study, pick: Pick) -> None:
-        self.counts["told"] += 1
-
-    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
-        self.counts["failed"] += 1
-
-    def on_lost(self, study: Study, pick: Pick) -> None:
-        self.counts["lost"] += 1
+    _report(opened, why, as_json=as_json)
 
 
 def check_evaluated(study: Study) -> None:
@@ -299,16 +283,17 @@ def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:
     return cmdp.trainer_for(study.spec.settings.get("preset"), **changed) if changed else trainer
 
 
-def _report(study: Study, tally: _Tally, why: str, *, as_json: bool) -> None:
-    told, budget = len(study.refresh().rows), study.spec.budget
-    why = str(study.stop_reason) if study.is_finished else why
+def _report(study: Study, why: str, *, as_json: bool) -> None:
+    mine = [one for one in study.trainings if one.worker == study.worker]
+    told = sum(one.place is not None for one in mine)
+    rows, why = len(study.state.rows), str(study.stop_reason) if study.is_finished else why
     if as_json:
-        facts = {"study": study.name, "worker": study.worker, **tally.counts, "ended": why}
-        facts |= {"finished": study.is_finished, "rows": told, "budget": budget}
-        print_json(facts)
+        failed = sum(one.state == "failed" for one in mine)
+        facts = {"study": study.name, "worker": study.worker, "told": told, "failed": failed}
+        facts |= {"ended": why, "finished": study.is_finished}
+        print_json({**facts, "rows": rows, "budget": study.spec.budget})
         return
-    mine = tally.counts["told"]
     console.say(
-        f"{study.worker} ends: {why}; it told {mine} of the {told} rows so far, "
+        f"{study.worker} ends: {why}; it told {told} of the {rows} rows so far, "
         f"{study.state.spent_words()} asked for"
     )
