@@ -25,8 +25,8 @@ def rewritten(folder, change):
 
 def listing(folder, name, content):
     """The portfolio with one more file in the folder of its first policy, listed with its hash."""
-    digest = hashlib.sha256(content).hexdigest()
-    return rewritten(folder, lambda m: m["policies"][0]["files"].update({name: digest}))
+    listed = {f"policies/source-0000/{name}": hashlib.sha256(content).hexdigest()}
+    return rewritten(folder, lambda m: m["files"].update(listed))
 
 
 def custom(saved):
@@ -54,10 +54,10 @@ def test_a_file_that_the_manifest_does_not_list_is_refused(tmp_path):
 def test_a_path_that_leads_out_is_refused_on_every_system(tmp_path, name):
     folder = make().save(tmp_path / "p")
     with pytest.raises(StorageError, match="inside its own folder"):
-        load_portfolio(rewritten(folder, lambda m: m["policies"][0].update(folder=name)))
-    if name not in ("", "."):
-        with pytest.raises(StorageError, match=r"inside its own folder|which is missing"):
-            load_portfolio(rewritten(folder, lambda m: m["returns"].update(file=name)))
+        load_portfolio(rewritten(folder, lambda m: m["policies"].insert(0, name)))
+    other = rewritten(make().save(tmp_path / "q"), lambda m: m["files"].update({name: ""}))
+    with pytest.raises(StorageError, match="inside its own folder"):
+        load_portfolio(other)
 
 
 def test_links_and_pipes_are_neither_copied_nor_read(tmp_path):

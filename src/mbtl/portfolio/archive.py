@@ -19,7 +19,7 @@ import shutil
 import tempfile
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,11 +107,10 @@ def read_portfolio(folder: Path) -> tuple[Record, dict[str, Array], list[Path | 
         folder = _standing(folder)
         manifest = _read_manifest(folder)
         folders = [
-            None if entry["folder"] is None else inside(folder, entry["folder"], OWNER)
-            for entry in manifest["policies"]
+            None if name is None else inside(folder, name, OWNER) for name in manifest["policies"]
         ]
-        _check_files(folder, _listed(folder, manifest))
-        with inside(folder, manifest["returns"]["file"], OWNER).open("rb") as file:
+        _check_files(folder, dict(manifest["files"]))
+        with (folder / RETURNS).open("rb") as file:
             arrays = {name: _real(name, array) for name, array in read_arrays(file).items()}
         arrays["returns"]
     except (*MALFORMED, OSError) as error:
@@ -187,13 +186,15 @@ def _fill(
     """Write every file of a portfolio into an empty folder, to the disk."""
     root.chmod(0o755)  # mkdtemp's 0o700 would lock out everyone the portfolio is shared with
     np.savez(root / RETURNS, **arrays)  # type: ignore[arg-type]
-    entries = [_write_policy(root, *policy) for policy in policies]
+    folders = [_write_policy(root, *policy) for policy in policies]
+    files = regular_files(root, OWNER)
+    _check_distinct(files, root)
     manifest = {
         "kind": KIND,
         "format": FORMAT,
         **record,
-        "returns": {"file": RETURNS, "sha256": _sha256(root / RETURNS)},
-        "policies": entries,
+        "policies": folders,
+        "files": {name: _sha256(root / name) for name in files},
         "versions": _versions(),
     }
     try:
@@ -206,7 +207,8 @@ def _fill(
     sync_folder(root)
 
 
-def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> Record:
+def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> str | None:
+    """Its folder below the portfolio; None: its trainer could not save it."""
     place = f"policies/{name}"
     target = root / place
     if saved is not None:
@@ -221,10 +223,8 @@ def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> Rec
         target.mkdir(parents=True)
         policy.save(target)
     else:
-        return {"folder": None, "files": {}, "reason": "its trainer could not save it"}
-    files = regular_files(target, "a policy")
-    _check_distinct(files, target)
-    return {"folder": place, "files": {name: _sha256(target / name) for name in files}}
+        return None
+    return place
 
 
 def _swap(partial: Path, folder: Path) -> None:
@@ -300,20 +300,10 @@ def _read_manifest(folder: Path) -> Record:
     return manifest
 
 
-def _listed(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of every file that the manifest names, by its path below the folder."""
-    digests = [(manifest["returns"]["file"], manifest["returns"]["sha256"])]
-    for entry in manifest["policies"]:
-        place = entry["folder"]
-        digests += [(f"{place}/{name}", digest) for name, digest in entry["files"].items()]
-    for name, _ in digests:
-        inside(folder, name, OWNER)
-    names = [PurePosixPath(name).as_posix() for name, _ in digests]
-    _check_distinct(names, folder)
-    return dict(zip(names, (digest for _, digest in digests), strict=True))
-
-
 def _check_files(folder: Path, listed: Mapping[str, str]) -> None:
+    for name in listed:
+        inside(folder, name, OWNER)
+    _check_distinct(listed, folder)
     found = set(regular_files(folder, OWNER))
     for name, digest in listed.items():
         if name not in found:

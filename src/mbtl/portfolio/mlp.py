@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -305,13 +305,7 @@ def head_record(head: DiscreteHead | BoxHead) -> dict[str, Any]:
     """JSON part of a head; the arrays of a `BoxHead` are stored beside it."""
     if isinstance(head, BoxHead):
         return {"kind": "box", "squash": head.squash, "whole": head.whole}
-    return {
-        "kind": "discrete",
-        "sizes": list(head.sizes),
-        "scalar": head.scalar,
-        "samples": head.samples,
-        "start": list(head.start),
-    }
+    return {"kind": "discrete", **asdict(head)}
 
 
 def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> DiscreteHead | BoxHead:
