@@ -31,7 +31,7 @@ def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_130(tmp_path):
             env={**os.environ, "COLUMNS": "100"},
         )  # fmt: skip
         wait_until(lambda: list(tmp_path.glob("runs/*/study.db")), process)
-        time.sleep(4.0)  # compiling or learning
+        time.sleep(2.0)  # compiling or learning
         process.send_signal(signal.SIGINT)
         code = process.wait(timeout=HANGING)
     assert code == 130, log.read_text()

@@ -67,7 +67,7 @@ def test_a_live_page_is_written_until_the_study_is_finished(
         (["s", "-o", "page.txt"], "ends in .html"),
         (["s", "--live", "0"], "2 seconds or more"),
         (["pendulum-length", "--seed", "7"], "--seed must be from 0 to 2"),
-        (["pendulum-length", "--name", "s"], "--name is of a study, and no study is given"),
+        (["pendulum-length", "--name", "s", "--budget", "1"], "--name is of a study, and no study"),
         (["s", "--name", "t"], "no study is called 't'. Known: s."),
     ],
 )

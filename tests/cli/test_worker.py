@@ -9,16 +9,12 @@ import threading
 import time
 
 import pytest
+from test_interrupt import PROGRAM
 
 import mbtl
 from mbtl.cli import worker
 from mbtl.cli.worker import WallTime
 
-PROGRAM = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from mbtl.cli import program; program()
-"""
 QUICK = """
 import pathlib, time, mbtl
 def train(context, seed):
@@ -108,7 +104,9 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     assert "mbtl worker" in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)]
+)
 def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, number):
     study = made(place)
     (place / "slow").touch()
@@ -132,7 +130,7 @@ def test_a_worker_whose_time_is_over_ends_by_itself_and_another_takes_its_traini
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # deaf in the background
     try:
         code, out, err = mbtl_command(
-            "worker", "s", "quick.py:problem", "--wall-time", "3", "--json"
+            "worker", "s", "quick.py:problem", "--wall-time", "2", "--json"
         )
     finally:
         signal.signal(signal.SIGINT, usual)
@@ -153,26 +151,19 @@ def test_no_training_is_begun_that_would_not_end_in_time(place, mbtl_command):
     assert json.loads(out)["told"] == 0
     assert "no further training would end" in json.loads(out)["ended"]
     assert len(study.refresh().picks) == 1
-    trainer = study.trainer
-    assert WallTime(time.monotonic() + 4000.0).has_room(study, trainer)
-    assert not WallTime(time.monotonic() + 3000.0).has_room(study, trainer)
 
+    class Resuming(type(study.trainer)):
+        """Its trainings go on from a checkpoint, wherever they are taken up."""
 
-def test_a_training_that_goes_on_from_its_checkpoint_is_begun_in_any_case(place):
-    study = made(place)
-    study.tell(study.ask(), [1.0] * 5, seconds=3600.0)
-
-    class Resuming:
-        policy_format = "custom"
         takes = frozenset({"resume"})
 
-        def train(self):
-            raise AssertionError
-
-        evaluate = save = load = train
-
-    assert WallTime(time.monotonic() + 10.0).has_room(study, Resuming())
-    assert not WallTime(time.monotonic() - 1.0).has_room(study, Resuming())
+    usual = study.trainer
+    resuming = Resuming(usual.train_fn, usual.evaluate_fn, usual.save_fn, usual.load_fn)
+    for seconds, trainer, fits in (
+        (4000.0, usual, True), (3000.0, usual, False), (10.0, resuming, True),
+        (-1.0, resuming, False),
+    ):  # fmt: skip
+        assert WallTime(time.monotonic() + seconds).has_room(study, trainer) is fits
 
 
 def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, mbtl_command):
