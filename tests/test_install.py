@@ -58,42 +58,28 @@ def install(tmp_path):
     return call
 
 
-def test_uv_installs_and_says_what_it_downloads(install):
-    [(tool, *arguments)], said = install("--editable", ".[jax,plots]")
-    assert tool == "uv"
-    assert arguments[-2:] == ["--editable", ".[jax,plots]"]
-    assert said == "Downloading scipy (33.7MiB)\n"
+EDITABLE = ("--editable", ".[jax,plots]")
+NO_CPU = {"PIP_FAILS": "+cpu"}
 
 
-def test_pip_does_what_uv_could_not(install):
-    calls, said = install("--editable", ".", UV_FAILS="--editable")
-    assert [tool for tool, *_ in calls] == ["uv", "pip"]
-    assert "no such file" in said
-    assert "now with pip" in said
-
-
-def test_an_index_that_pip_was_told_of_is_used(install):
-    calls, _ = install("--editable", ".", PIP_CONFIG="global.index-url='mirror'\n")
-    assert [tool for tool, *_ in calls] == ["pip"]
-
-
-def test_torch_comes_from_where_pip_looks_if_that_is_a_cpu_build(install):
-    [(tool, *arguments)], _ = install("torch")
-    assert (tool, arguments[-1]) == ("pip", "torch==2.13.0+cpu")
-
-
-def test_torch_comes_from_its_own_index_by_uv(install):
-    calls, said = install("torch", PIP_FAILS="+cpu")
-    assert calls[-1][-3:] == ["--torch-backend", "cpu", "torch==2.13.0"]
-    assert "CUDA" not in said
-
-
-def test_the_cuda_build_is_announced(install):
-    calls, said = install("torch", PIP_FAILS="+cpu", UV_FAILS="--torch-backend")
-    assert calls[-1][-1] == "torch"
-    assert "CUDA build" in said
-
-
-def test_torch_that_is_there_is_kept(install):
-    calls, _ = install("torch", TORCH_MISSING="0")
-    assert calls == []
+@pytest.mark.parametrize(
+    ("arguments", "settings", "tools", "last", "said"),
+    [
+        (EDITABLE, {}, ["uv"], EDITABLE, "Downloading scipy (33.7MiB)\n"),
+        (EDITABLE, {"UV_FAILS": "--editable"}, ["uv", "pip"], EDITABLE, "now with pip"),
+        (EDITABLE, {"PIP_CONFIG": "global.index-url='mirror'\n"}, ["pip"], EDITABLE, ""),
+        # torch: where pip looks if that is a CPU build, else its own index, else announced
+        (("torch",), {}, ["pip"], ("torch==2.13.0+cpu",), ""),
+        (("torch",), NO_CPU, ["pip", "uv"], ("--torch-backend", "cpu", "torch==2.13.0"), ""),
+        (("torch",), NO_CPU | {"UV_FAILS": "--torch-backend"}, None, ("torch",), "CUDA build"),
+        (("torch",), {"TORCH_MISSING": "0"}, [], (), ""),
+    ],
+)
+def test_uv_installs_where_it_can_and_pip_elsewhere(
+    install, arguments, settings, tools, last, said
+):
+    calls, heard = install(*arguments, **settings)
+    assert tools is None or [tool for tool, *_ in calls] == tools
+    assert not last or tuple(calls[-1][-len(last) :]) == last
+    assert said in heard
+    assert ("CUDA" in heard) == ("CUDA" in said)
