@@ -104,18 +104,21 @@ def test_too_few_episodes_are_named_once_before_the_first_training_where_they_ar
     assert lines[not known] == "2 episodes of so few contexts say little of chance: play more"
 
 
-def test_running_v_and_its_gain_are_not_flattered_and_their_intervals_cover():
+@pytest.mark.parametrize(
+    ("studies", "least"), [(40, 0.9), pytest.param(150, 0.93, marks=pytest.mark.long)]
+)
+def test_running_v_and_its_gain_are_not_flattered_and_their_intervals_cover(studies, least):
     """Two skewed episodes, all contexts: the luckiest rows would be 0.03 too high.
 
     The scatter of folds alone, without that they are lucky together, covers 92 and 89 of 100.
     """
     module = coverage()
-    found = module.measured(module.Setting(2, skewed=True), 150)
+    found = module.measured(module.Setting(2, skewed=True), studies)
     for name in module.WHAT:
-        least = 0.93 if name in ("V, running", "gain") else 0.9
         error, half = found[name].T
-        assert least < np.mean(abs(error) <= half) < 0.99, name
-    for name in ("V, running", "gain"):
-        error, half = found[name].T
+        running = name in ("V, running", "gain")
+        assert (least if running else 0.85) < np.mean(abs(error) <= half) <= 1.0, name
+        if not running:
+            continue
         assert abs(error.mean()) < 3.0 * error.std() / np.sqrt(len(error))
         assert half.mean() < 0.075  # 1.96 times the error's true deviation is 0.061, and 0.056

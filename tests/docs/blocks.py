@@ -1,4 +1,4 @@
-"""What code blocks of README and docs do when they are executed; run this file to count them.
+"""What code blocks of README and docs do when they are executed.
 
 A page is executed from top to bottom in an empty folder, its Python blocks in one namespace.
 
@@ -18,13 +18,11 @@ A page is executed from top to bottom in an empty folder, its Python blocks in o
 from __future__ import annotations
 
 import importlib
-import os
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
-from collections import Counter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -180,18 +178,3 @@ def execute(page: Path) -> None:
     document.namespace.update(examples=ROOT / "examples", numpy=numpy)
     for example in document.examples():
         example.evaluate()
-
-
-def census() -> Counter[str]:
-    """How many blocks are executed, and how many are only read."""
-    counted: Counter[str] = Counter()
-    for page in PAGES:
-        for example in parse(page).examples():
-            counted["only read" if is_read_only(example) else "executed"] += 1
-        counted["for people"] += sum(name in SHOWN for _, name in fences(page.read_text()))
-    return counted
-
-
-if __name__ == "__main__":
-    os.chdir(ROOT)
-    print(dict(census()))
