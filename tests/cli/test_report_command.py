@@ -1,11 +1,14 @@
+import io
 import json
 import re
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import mbtl
 from flat import created
+from mbtl.cli import study
 from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark import TransferMatrix
 
@@ -15,16 +18,16 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
 @pytest.fixture
 def stored(tmp_path):
     """A study with one of two trainings, in its folder."""
-    study = created(
+    made = created(
         SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s" / "study.db", name="s"
     )
-    tell_one(study)
-    return study
+    tell_one(made)
+    return made
 
 
-def tell_one(study):
-    pick = study.ask()
-    study.tell(pick, 1.0 - np.abs(SPACE.unit[:, 0] - SPACE.unit[pick.source, 0]))
+def tell_one(one):
+    pick = one.ask()
+    one.tell(pick, 1.0 - np.abs(SPACE.unit[:, 0] - SPACE.unit[pick.source, 0]))
 
 
 def test_studies_and_matrices_become_one_page(mbtl_command, tmp_path, stored):
@@ -107,14 +110,14 @@ def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, sto
 
 
 def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_path):
-    study = mbtl.create_study(
+    paid = mbtl.create_study(
         SPACE, budget=mbtl.Steps(1000, unit=100, horizon=5), strategy="all-first",
         objective=mbtl.Objective(bounds=(0.0, 1.0)), storage=tmp_path / "s.db",
     )  # fmt: skip
-    study.equip(FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
-    everyone = study.ask()
-    study.tell(everyone, np.full(12, 0.5), steps=90, evaluation_steps=55)
-    study.tell(study.ask(), np.full(12, 0.6), steps=100, evaluation_steps=45)
+    paid.equip(FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
+    everyone = paid.ask()
+    paid.tell(everyone, np.full(12, 0.5), steps=90, evaluation_steps=55)
+    paid.tell(paid.ask(), np.full(12, 0.6), steps=100, evaluation_steps=45)
     code, out, err = mbtl_command("study", "show", "s.db")
     assert code == 0, err
     assert "all-first, 1K steps, N = 12" in out
@@ -135,24 +138,16 @@ def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_pat
     assert len(lines) == 1 + 2 * 12
 
 
-def test_watching_prints_the_state_once_where_there_is_no_terminal(mbtl_command, stored):
-    code, out, err = mbtl_command("study", "show", "s", "--live", "2")
-    assert code == 0, err
-    assert "1 of 2 trainings asked for" in out
-    assert re.search(r"1\s+x = 0.\d+ m", out)
-
-
-def test_on_a_terminal_watching_goes_on_until_the_study_ends(stored, tmp_path, monkeypatch):
-    import io
-
-    from rich.console import Console
-
-    from mbtl.cli import study
-
-    screen = Console(file=io.StringIO(), force_terminal=True, width=90)
+@pytest.mark.parametrize("terminal", [True, False])
+def test_watching_goes_on_until_the_study_ends_where_there_is_a_terminal(
+    stored, tmp_path, monkeypatch, terminal
+):
+    screen = Console(file=io.StringIO(), force_terminal=terminal, width=90)
     monkeypatch.setattr(study, "printer", lambda: screen)
     monkeypatch.setattr(study.time, "sleep", lambda seconds: tell_one(stored))
     study.show(str(tmp_path / "s"), live=2.0)
     text = screen.file.getvalue()
     assert "1 of 2 trainings asked for" in text
-    assert "The study is finished: the budget of 2 trainings is spent." in text
+    assert re.search(r"1\s+x = 0.\d+ m", text)
+    said = "The study is finished: the budget of 2 trainings is spent."
+    assert (said in text) == terminal

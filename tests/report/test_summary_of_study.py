@@ -4,13 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
+from rich.console import Console
 
 import mbtl
 from flat import created
+from mbtl.problems import get_cmdp
 from mbtl.report import of_study, page, reference_curves, summarise_study
 from mbtl.report.content import content
 from mbtl.report.summary import policies_enough
-from mbtl.report.text import lines
+from mbtl.report.text import lines, show_summary
 from mbtl.selectors import Proposal, Traits
 from mbtl.study.callbacks import PrintProgress
 from mbtl.study.closing_report import plan_of
@@ -39,28 +41,9 @@ def test_numbers_of_a_known_study():
     assert summary.best_single_value == pytest.approx(row(9).mean())
     assert summary.serving == tuple([2] * 5 + [0] * 7 + [3] * 5 + [1] * 3)
     assert summary.finished is None
-
-
-def test_the_worst_served_context_is_named():
-    study = study_of(2)  # at 9 and 19: context 0 is farthest from both
-    summary = summarise_study(study)
+    summary = summarise_study(study_of(2))  # at 9 and 19: context 0 is farthest from both
     assert (summary.worst_context, summary.worst_context_value) == (0, pytest.approx(0.72))
     assert "; the worst context, x = 0 m, at 0.7200." in " ".join(lines(summary, SPACE))
-
-
-def test_a_study_without_rows_has_a_summary():
-    summary = summarise_study(study_of(0))
-    assert summary.value is None
-    assert "No policy" in summary.verdict
-    assert summary.to_json()["picks"] == ()
-
-
-def test_failures_and_open_picks_are_listed():
-    study = study_of(1)
-    study.fail(study.ask(), "diverged")
-    study.ask()
-    statuses = [p.status for p in summarise_study(study).picks]
-    assert statuses == ["told", "failed: diverged", "open"]
 
 
 def test_fresh_episodes_are_the_headline_when_measured():
@@ -199,21 +182,21 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
         assert study.routing.routes[k - 1].max() < k
 
 
-class Scripted:
+class InTurn:
     """Asks for these trainings, one after the other."""
 
-    name, traits = "scripted", Traits(any_training=True)
+    name, traits = "in turn", Traits(any_training=True)
 
-    def __init__(self, *script):
-        self.script = list(script)
+    def __init__(self, script):
+        self.script = iter(script)
 
     def propose(self, problem, history, rng):
-        return self.script.pop(0)
+        return next(self.script)
 
 
 def test_a_training_is_said_by_its_contexts_what_it_began_with_and_how_long_it_was():
     everyone = tuple(range(N))
-    script = Scripted(
+    script = (
         Proposal(9, "all", length=1.0, sources=everyone, targets=(0, 9, 19)),
         Proposal(9, "longer", start=0, length=2.0, sources=everyone),
         Proposal(5, "tuned", start=1, length=0.5),
@@ -221,7 +204,7 @@ def test_a_training_is_said_by_its_contexts_what_it_began_with_and_how_long_it_w
         Proposal(7, "some", sources=(6, 7, 8)),
         Proposal(0, "alone"),
     )
-    study = created(SPACE, budget=6, bounds=(0.0, 1.0), strategy=script)
+    study = created(SPACE, budget=6, bounds=(0.0, 1.0), strategy=InTurn(script))
     for level in (0.3, 0.5, 0.6, 0.3, 0.4):
         pick = study.ask()
         study.tell(pick, np.full(N if pick.targets is None else len(pick.targets), level))
@@ -247,3 +230,16 @@ def test_a_training_is_said_by_its_contexts_what_it_began_with_and_how_long_it_w
     said = io.StringIO()
     PrintProgress(said).on_told(study, study.pick(1))
     assert said.getvalue().startswith("pick 2, 4.5 of 6 units: all contexts, 1 to 2 units, V = ")
+
+
+def test_a_context_of_three_axes_takes_three_lines_of_the_table():
+    space = get_cmdp("cartpole-masses-length").space
+    study = created(space, budget=2, bounds=(0.0, 1.0), problem="cartpole-masses-length")
+    study.tell(study.ask(), np.linspace(0.1, 0.9, space.n))
+    screen = Console(file=io.StringIO(), width=80)
+    show_summary(screen, summarise_study(study), space)
+    text = screen.file.getvalue()
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text, "nothing is cut off"
+    first = next(line for line in text.splitlines() if "masspole = 0.1 kg" in line)
+    assert first.split()[5] == "0.5000", "V beside the first axis"
+    assert "masscart" not in first
