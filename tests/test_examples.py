@@ -67,14 +67,10 @@ def test_an_example_can_be_sent_to_other_processes():
     assert pickle.loads(pickle.dumps(problem.trainer)) == problem.trainer
 
 
-def test_an_example_is_short():
+def test_examples_are_short():
     """Without blank lines."""
     for path in EXAMPLES.glob("*.py"):
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) < 60, path.name
-
-
-def test_the_readme_example_is_valid_and_small():
     readme = (EXAMPLES.parent / "README.md").read_text()
     code = readme.split("```python\n# my_problem.py")[1].split("```")[0]
-    compile(code, "my_problem.py", "exec")
     assert len([line for line in code.splitlines() if line.strip()]) <= 18

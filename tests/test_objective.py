@@ -22,9 +22,6 @@ J = np.array([[0.9, 0.5, 0.1], [0.4, 0.8, 0.4], [0.0, 0.6, 1.0]])
 
 def test_value_is_the_mean_of_column_maxima():
     assert value(generalisation_performance(J[:2])) == pytest.approx((0.9 + 0.8 + 0.4) / 3)
-
-
-def test_value_of_weighted_targets():
     assert value(J.max(axis=0), np.array([0.5, 0.25, 0.25])) == pytest.approx(0.45 + 0.2 + 0.25)
 
 
@@ -83,23 +80,15 @@ def test_a_floor_counts_in_performance_and_bounds_are_a_pair(direction, worse):
     assert "count as" in str(bounds)
 
 
-def test_automatic_bounds_hold_the_finite_returns():
+def test_automatic_bounds_hold_the_finite_returns_and_impossible_ones_are_refused():
     bounds = Bounds.of([3.0, np.nan, -1.0])
     assert (bounds.low, bounds.high) == (-1.0, 3.0)
     assert Bounds.of([2.0, 2.0]).high == 3.0
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: Bounds(1, 1), lambda: Bounds(0, np.nan), lambda: Bounds.of([])]
-)
-def test_impossible_bounds_are_refused(make):
+    for given in ((1, 1), (0, np.nan), (0, 1, "up")):
+        with pytest.raises(InvalidInput):
+            Bounds(*given)
     with pytest.raises(InvalidInput):
-        make()
-
-
-def test_direction_must_be_known():
-    with pytest.raises(InvalidInput, match="'up'"):
-        Bounds(0, 1, "up")
+        Bounds.of([])
 
 
 @pytest.mark.parametrize("short", ["max", "min"])

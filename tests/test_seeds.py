@@ -21,9 +21,6 @@ def test_training_seed_depends_on_root_trial_and_source_only():
 def test_purposes_never_share_a_seed():
     blocks = {p: {derive_seed(0, p, i) >> 28 for i in range(200)} for p in Purpose}
     assert all(blocks[p] == {int(p)} for p in Purpose)
-
-
-def test_seeds_fit_32_bits():
     assert all(0 <= derive_seed(7, p, 3, 99) < 2**32 for p in Purpose)
 
 

@@ -261,13 +261,12 @@ def test_policy_that_was_not_saved_says_so(tmp_path):
         again.policy(0)
 
 
-def test_changed_missing_and_foreign_files_are_named(tmp_path):
+def test_changed_and_missing_files_are_named(tmp_path):
     folder = make().save(tmp_path / "p")
     weights = folder / "policies" / "source-0004" / "weights.npz"
     weights.write_bytes(weights.read_bytes() + b"x")
-    with pytest.raises(
-        StorageError, match=r"policies/source-0004/weights.npz .* must be as it was saved"
-    ):
+    changed = r"policies/source-0004/weights.npz .* must be as it was saved"
+    with pytest.raises(StorageError, match=changed):
         load_portfolio(folder)
     weights.unlink()
     with pytest.raises(StorageError, match=r"weights\.npz, which is missing"):
