@@ -261,11 +261,9 @@ def _opened(
 ) -> Study:
     """The study, as soon as its database answers."""
     patience = Patience(seconds)
-
-    def opened() -> Study:
-        return load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
-
-    found = patience.through(opened)
+    found = patience.through(
+        lambda: load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
+    )
     log: Any = found.log
     log.patience = patience
     return found

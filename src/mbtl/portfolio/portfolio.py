@@ -282,16 +282,10 @@ class Portfolio:
         return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
 
     def _repr_html_(self) -> str:
-        routes = self.routing.routes[-1]
-        lines = [
-            (
-                i + 1,
-                self.trained_on(i),
-                float(self.returns[i, source]),
-                int((routes == i).sum()),
-            )
-            for i, source in enumerate(self.sources)
-        ]
+        counts = np.bincount(self.routing.route, minlength=len(self))
+        there = self.returns[np.arange(len(self)), list(self.sources)]
+        words = map(self.trained_on, range(len(self)))
+        lines = zip(range(1, len(self) + 1), words, there.tolist(), counts.tolist(), strict=True)
         return table(repr(self), ("policy", "trained on", "return there", "contexts"), lines)
 
     def _saved_policies(self) -> list[SavedPolicy]:
