@@ -8,7 +8,6 @@ scanned on a grid, one eigendecomposition per length-scale, and the best is refi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,32 +21,9 @@ _MOST_NOISE = 1e3  # largest r: beyond it the data are noise around a constant
 _NEAR, _FAR = 4.0, 10.0  # l from nearest / 4, where R is the identity, to 10 farthest: a constant
 
 
-@dataclass(frozen=True)
-class ConstantMeanGP(FittedGP):
-    """A Gaussian process around a constant; `y` holds the values less `mean`.
-
-    Attributes:
-        mean: prior mean, units of performance.
-    """
-
-    mean: float = 0.0
-
-    def predict(self, points: Array) -> tuple[Array, Array]:
-        """Posterior mean (M,) and standard deviation (M,) without noise."""
-        centred, std = super().predict(points)
-        return centred + self.mean, std
-
-    def with_believed(self, points: Array) -> ConstantMeanGP:
-        """The same process with `points` (pending picks) observed at their predicted means."""
-        centred, _ = super().predict(points)
-        return replace(
-            self, points=np.vstack([self.points, points]), y=np.concatenate([self.y, centred])
-        )
-
-
 def fit_constant_mean(
     points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None
-) -> ConstantMeanGP:
+) -> FittedGP:
     """Fit mean, amplitude, length-scale and noise.
 
     Args:
@@ -84,7 +60,7 @@ def fit_constant_mean(
     mean, amplitude = float(best.mean[0, 0]), float(best.amplitude[0, 0])
     noise = float(np.exp(log_ratio)) * amplitude
     length = float(np.exp(log_length))
-    return ConstantMeanGP(x, target - mean, amplitude, length, noise, mean=mean)
+    return FittedGP(x, target - mean, amplitude, length, noise, mean=mean)
 
 
 class _Profile(NamedTuple):

@@ -2,7 +2,7 @@
 
 Notation (shapes): n observations, M query points, D columns (grid steps).
     X  (n, D)   where policies were trained
-    y  (n,)     training performance there; prior mean zero, not centred (method, section 2)
+    y  (n,)     training performance there; of the paper's GP the prior mean is zero (section 2)
     R  (n, n)   R_ij = exp(-|x_i - x_j|^2 / (2 l^2)), l the length-scale
     K  (n, n)   K = c R + noise^2 I, c the amplitude
     LML         -1/2 y' K^-1 y - 1/2 log|K| - n/2 log 2 pi
@@ -11,7 +11,7 @@ Notation (shapes): n observations, M query points, D columns (grid steps).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,7 @@ class FittedGP:
         length: l, grid steps.
         noise_variance: noise variance.
         notes: what the fit had to do that was not planned.
+        mean: prior mean, units of performance; `y` holds the values less this.
     """
 
     points: Array
@@ -71,6 +72,7 @@ class FittedGP:
     length: float
     noise_variance: float
     notes: tuple[str, ...] = ()
+    mean: float = 0.0
 
     @cached_property
     def _factor(self) -> tuple[Array, Array, float]:
@@ -109,19 +111,13 @@ class FittedGP:
             mean[block] = cross @ alpha
             half = cross @ inverse.T
             variance[block] = self.amplitude - np.einsum("ij,ij->i", half, half)
-        return mean, np.sqrt(np.maximum(variance, 0.0))
+        return mean + self.mean, np.sqrt(np.maximum(variance, 0.0))
 
     def with_believed(self, points: Array) -> FittedGP:
         """The same process with `points` (pending picks) observed at their predicted means."""
-        mean, _ = self.predict(points)
-        return FittedGP(
-            np.vstack([self.points, points]),
-            np.concatenate([self.y, mean]),
-            self.amplitude,
-            self.length,
-            self.noise_variance,
-            self.notes,
-        )
+        believed = self.predict(points)[0] - self.mean
+        y = np.concatenate([self.y, believed])
+        return replace(self, points=np.vstack([self.points, points]), y=y)
 
 
 def squared_distances(a: Array, b: Array) -> Array:

@@ -8,8 +8,6 @@ then refined. No randomness, no restarts, and the same answer every time.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,6 +17,7 @@ from mbtl.models.gp import LOG_2PI, FittedGP, GPSettings, checked_data, squared_
 _SPACING = 0.52  # of the first length-scale grid, in log units; halved twice near the top
 _PLATEAU = 6.0  # at l = nearest distance / 6, R equals the identity to 2e-8
 _MARGINS = (12.0, 3.0)  # LML below the best that is still searched when the spacing is halved
+_NEAR = 1e-5  # log units in which the best length-scale is known
 
 
 def fit_gp(points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None) -> FittedGP:
@@ -38,17 +37,6 @@ def fit_gp(points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None) 
     profile = _Profile(squared, target, settings)
     length, amplitude = profile.maximise()
     return FittedGP(x, target, amplitude, length, settings.noise_std**2)
-
-
-class _Local(NamedTuple):
-    """LML at one point, with derivatives in the log length-scale l and the log amplitude c."""
-
-    value: float
-    slope_l: float
-    slope_c: float
-    curve_l: float
-    curve_c: float
-    cross: float
 
 
 class _Profile:
@@ -78,9 +66,8 @@ class _Profile:
         answer = (float(values[best]), float(grid[best]), float(logs[best]))
         inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])) + 1
         for i in [*inner, len(grid) - 1]:
-            if values[i] >= values[best] - _MARGINS[-1]:
-                around = slice(max(i - 1, 0), i + 2)
-                answer = max(answer, self._climb(grid[around], values[around], logs[around]))
+            if i and values[i] >= values[best] - _MARGINS[-1]:
+                answer = max(answer, self._climb(grid[i - 1], grid[min(i + 1, len(grid) - 1)]))
         return float(np.exp(answer[1])), float(np.exp(answer[2]))
 
     def _scan(self, grid: Array) -> tuple[Array, Array]:
@@ -128,88 +115,21 @@ class _Profile:
         low, high = self.log_amplitudes[0], self.log_amplitudes[-1]
         return np.asarray(np.minimum(np.maximum(log_c, low), high))
 
-    def _at(self, log_length: float, log_c: float) -> _Local:
-        """LML and its derivatives at one point, from one Cholesky factor and one inverse.
+    def _climb(self, low: float, high: float) -> tuple[float, float, float]:
+        """(LML, log length-scale, log amplitude) of the top between two log length-scales."""
+        from scipy.optimize import minimize_scalar  # kept out of `import mbtl`
 
-        With B = K^-1, a = B y, S = c R, W = squared / l^2 and T = S * W, the derivatives of K are S
-        in log c and T in log l, and those of S and T in log l are T and U = T * (W - 2). B S equals
-        I - noise B, so no product with S is formed.
+        def below(log_length: float) -> float:
+            return -float(self._scan(np.array([log_length]))[0][0])
 
-        Raises:
-            numpy.linalg.LinAlgError: the noise is below rounding and K is not positive definite.
-        """
-        n, noise = len(self.y), self.noise
-        w = self.squared * np.exp(-2.0 * log_length)
-        s = np.exp(log_c - 0.5 * w)
-        k = s.copy()
-        k.flat[:: n + 1] += noise
-        log_det = 2.0 * np.log(np.diagonal(np.linalg.cholesky(k))).sum()
-        b = np.linalg.inv(k)
-        a = b @ self.y
-        t = s * w
-        u = t * (w - 2.0)
-        ba, ta, bt = b @ a, t @ a, b @ t
-        y_a, a_a, a_t_a = self.y @ a, a @ a, a @ ta
-        a_s_a, a_sbs_a = y_a - noise * a_a, y_a - 2.0 * noise * a_a + noise**2 * (a @ ba)
-        trace_b, trace_bt = np.trace(b), np.trace(bt)
-        return _Local(
-            value=-0.5 * float(y_a + log_det + n * LOG_2PI),
-            slope_l=0.5 * float(a_t_a - trace_bt),
-            slope_c=0.5 * float(a_s_a - n + noise * trace_b),
-            curve_l=float(0.5 * (a @ u @ a - np.vdot(b, u) + np.vdot(bt, bt.T)) - ta @ b @ ta),
-            curve_c=float(0.5 * (a_s_a - noise * trace_b + noise**2 * np.vdot(b, b)) - a_sbs_a),
-            cross=float(noise * (ba @ ta - 0.5 * np.vdot(b, bt)) - 0.5 * a_t_a),
+        found = minimize_scalar(
+            below, bounds=(low, high), method="bounded", options={"xatol": _NEAR}
         )
-
-    def _climb(self, x: Array, values: Array, logs: Array) -> tuple[float, float, float]:
-        """Climb within [x[0], x[-1]] from scanned points: Newton on both, the length bracketed.
-
-        The amplitude follows its own optimum, so the bracket may go by the slope of the profile.
-
-        Returns:
-            (LML, log length-scale, log amplitude) of the best point seen.
-        """
-        left, right = float(x[0]), float(x[-1])
-        now = right
-        if len(x) == 3:  # start at the vertex of the parabola through the three
-            bend, slope, now = _parabola(x, values)
-            now = min(max(now - slope / bend, left), right)
-        log_c = float(np.interp(now, x, logs))
-        best = (-np.inf, now, log_c)
-        for _ in range(40):
-            try:
-                here = self._at(now, log_c)
-            except np.linalg.LinAlgError:
-                break  # the scanned optimum stands
-            best = max(best, (here.value, now, log_c))
-            top = float(self._within(log_c + _safe_step(here.slope_c, here.curve_c)))
-            free = self.log_amplitudes[0] < top < self.log_amplitudes[-1] and here.curve_c < 0
-            follow = -here.cross / here.curve_c if free else 0.0
-            move = top - log_c
-            slope = here.slope_l + here.cross * move
-            near = abs(move) < 0.1  # else this is not yet the slope of the profile
-            if near:
-                left, right = (now, right) if slope > 0 else (left, now)
-            step = now - slope / min(here.curve_l + here.cross * follow, -1e-9)
-            if not left < step < right:
-                step = 0.5 * (left + right) if near else min(max(step, left), right)
-            gain = abs(slope * (step - now)) + abs(here.slope_c * move)
-            log_c = float(self._within(top + min(max(follow * (step - now), -1.0), 1.0)))
-            if gain < 1e-8 * (1.0 + abs(here.value)) or right - left < 1e-9:
-                return max(best, (here.value + 0.5 * gain, step, log_c))
-            now = step
-        return best
+        values, logs = self._scan(np.array([found.x]))
+        return float(values[0]), float(found.x), float(logs[0])
 
 
-def _safe_step(slope: Any, curve: Any) -> Any:
+def _safe_step(slope: Array, curve: Array) -> Array:
     """Newton step to a maximum, at most 1, and uphill where the curvature has the wrong sign."""
     step = slope / np.maximum(-curve, 1e-3 + 0.1 * np.abs(slope))
-    return np.minimum(np.maximum(step, -1.0), 1.0)
-
-
-def _parabola(x: Array, values: Array) -> tuple[float, float, float]:
-    """Curvature (< 0), slope and place of the middle of three points, unevenly spaced."""
-    before, after = (values[1] - values[0]) / (x[1] - x[0]), (values[2] - values[1]) / (x[2] - x[1])
-    bend = 2.0 * (after - before) / (x[2] - x[0])
-    slope = before + 0.5 * bend * (x[1] - x[0])
-    return min(float(bend), -1e-6), float(slope), float(x[1])
+    return np.asarray(np.minimum(np.maximum(step, -1.0), 1.0))
