@@ -9,7 +9,7 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import gymnasium
 
-from mbtl.envs.everywhere import multitask_env
+from mbtl.envs.everywhere import Everywhere
 from mbtl.errors import InvalidInput
 
 CONTEXTS = [{"size": float(size)} for size in (1, 2, 4)]
@@ -37,9 +37,13 @@ class Told(gymnasium.Env):
         self.closed = True
 
 
+def everywhere(make_env):
+    return Everywhere(make_env, tuple(CONTEXTS))({})
+
+
 def test_contexts_are_drawn_uniformly_and_a_seed_decides_all_that_follow():
     def drawn(seed):
-        env = multitask_env(Told, CONTEXTS)
+        env = everywhere(Told)
         first = env.reset(seed=seed)[0][0]
         return [first, *(env.reset()[0][0] for _ in range(599))]
 
@@ -52,24 +56,22 @@ def test_contexts_are_drawn_uniformly_and_a_seed_decides_all_that_follow():
 
 
 def test_an_environment_is_closed_when_the_next_context_comes():
-    env = multitask_env(Told, CONTEXTS)
+    env = everywhere(Told)
     env.reset(seed=0)
-    before = env.current
+    before = env.env
     env.reset()
     assert before.closed
-    assert not env.current.closed
+    assert not env.env.closed
     env.close()
-    assert env.current.closed
+    assert env.env.closed
 
 
 def test_an_episode_is_as_long_as_in_the_mean_over_contexts():
-    assert multitask_env(Told, CONTEXTS).episode_steps == 3  # of 1, 2 and 4, rounded up
+    assert everywhere(Told).episode_steps == 3  # of 1, 2 and 4, rounded up
 
 
-def test_bad_sets_of_contexts_are_refused():
-    with pytest.raises(InvalidInput, match="at least one context"):
-        multitask_env(Told, [])
-    uneven = multitask_env(lambda c: Told(c, width=int(c["size"])), CONTEXTS)
+def test_contexts_of_other_spaces_are_refused():
+    uneven = everywhere(lambda c: Told(c, width=int(c["size"])))
     uneven.reset(seed=11)  # it draws the narrow context first, and then a wider one
     with pytest.raises(InvalidInput, match="same spaces in each"):
         uneven.reset()

@@ -184,15 +184,6 @@ def test_training_environments_are_closed_also_after_an_error():
     assert len(made) == 1 + 5
 
 
-def test_tensorboard_gets_one_run_per_training(tmp_path):
-    trainer = ppo(timesteps=128, tensorboard=tmp_path)
-    trainer.train([POLE], 0)
-    trainer.train([POLE], 1)
-    runs = sorted(path.name for path in tmp_path.iterdir())
-    assert runs == ["length=0.5,seed=0_1", "length=0.5,seed=1_1"]
-    assert all(list((tmp_path / run).glob("events.out.tfevents.*")) for run in runs)
-
-
 def test_contexts_of_one_physics_are_evaluated_in_episodes_of_their_own():
     """Else their luck is common, and never averages out in V."""
 

@@ -9,7 +9,7 @@ Notation (shapes): N contexts, d axes, D >= d columns (a categorical axis has on
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,6 @@ from mbtl.contexts.axes import (
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
 from mbtl.faults import harmless
 from mbtl.files import MALFORMED
-from mbtl.settings import differences
 
 Context = dict[str, Value]
 
@@ -301,25 +300,8 @@ class ContextSpace:
         """What differs first, what it is here, and what it is `now`; None: the spaces are equal."""
         if self == now:
             return None
-        before, after = ([axis.label for axis in space.axes] for space in (self, now))
-        if before != after:
-            return "the axes of the space", before, after
-        for mine, its in zip(self.axes, now.axes, strict=True):
-            found = next(differences(mine.to_json(), its.to_json(), f"axis {mine.name!r}, "), None)
-            if found:
-                return found
-        if self.n != now.n:
-            return "the number of contexts", self.n, now.n
-        for i in range(self.n):
-            if self.context(i) != now.context(i):
-                return f"the context of index {i}", self.context(i), now.context(i)
-        moved = np.flatnonzero(self.weights != now.weights)
-        if len(moved):
-            i = int(moved[0])
-            which = f"the weight of {self.context(i)}"
-            return which, float(self.weights[i]), float(now.weights[i])
-        was, is_now = ("a grid" if space.shape else "a list" for space in (self, now))
-        return "the form of the space", was, is_now
+        pairs = zip(_told(self), _told(now), strict=False)  # alike up to the first difference
+        return next(((name, was, other) for (name, was), (_, other) in pairs if was != other), None)
 
     def __repr__(self) -> str:
         names = ", ".join(axis.label for axis in self.axes)
@@ -385,6 +367,19 @@ class ContextSpace:
                 f"contexts must be distinct, got {self.context(first)!r} at index {first} and "
                 f"again at index {second}; remove one"
             )
+
+
+def _told(space: ContextSpace) -> Iterator[tuple[str, Any]]:
+    """All that a space consists of, by name; what decides how much follows comes first."""
+    yield "the axes of the space", [axis.label for axis in space.axes]
+    for axis in space.axes:
+        yield from ((f"axis {axis.name!r}, {key}", value) for key, value in axis.to_json().items())
+    yield "the number of contexts", space.n
+    for i in range(space.n):
+        yield f"the context of index {i}", space.context(i)
+    for i in range(space.n):
+        yield f"the weight of {space.context(i)}", float(space.weights[i])
+    yield "the form of the space", "a grid" if space.shape else "a list"
 
 
 def _key(unit: Array) -> tuple[float, ...]:

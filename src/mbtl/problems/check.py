@@ -11,7 +11,6 @@ whether it is hidden or visible; with it visible, its whole "generalisation gap"
 from __future__ import annotations
 
 import itertools
-import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -51,7 +50,7 @@ def check_cmdp(
             middle of the space.
         steps: environment steps per rollout; None: the problem's own number, else `STEPS`.
         seed: of the resets and actions.
-        on_check: told of each check as it begins, and how long the rest will take.
+        on_check: told of each check as it begins.
 
     Returns:
         The report; it does not raise for a broken environment, see `CheckReport.raise_if_failed`.
@@ -193,8 +192,6 @@ class CheckReport:
 
 
 _MOST_CORNERS = 16
-_TIMED = 10
-"""Steps that tell how long a rollout will take."""
 _ENDING = 2000
 """Steps within which an episode of unknown length is looked for an end."""
 
@@ -271,14 +268,6 @@ class Probe:
             outcome, detail = "failed", reason_of(error)
         yield Check(name, outcome, detail)
 
-    @property
-    def _work(self) -> tuple[int, int]:
-        """Environments that the checks after the first one open, and steps that they take."""
-        acting = sum(len(values) for values in self._ends.values() if len(values) > 1)
-        rolled = len(self._corner_contexts()) + acting
-        opened = rolled + len(self._corner_contexts()) + 12 + (0 if self._lives_well else 4)
-        return opened, (rolled + 3 + 7) * self.steps + (self.horizon or self.steps)
-
     def _roll(self, context: Context) -> Rollout:
         with opened(partial(self._make, context)) as (env,):
             return roll(env, self._actions, self.seed)
@@ -315,28 +304,12 @@ class Probe:
         return "warning", apart + " in trainings" * found.silent
 
     def _first_rollout(self) -> tuple[Outcome, str]:
-        begun = time.perf_counter()
         with opened(partial(self._make, self._base)) as (env,):
             actions = draw_actions(env.action_space, self.steps, self.seed)
-            rollout = roll(env, self._timed(actions, begun), self.seed)
+            rollout = roll(env, actions, self.seed)
         self._actions, self._first = actions, rollout
         bad = rollout.not_finite()
         return ("failed", bad) if bad else ("passed", f"{self.steps} steps at {self._base}")
-
-    def _timed(self, actions: Sequence[Any], begun: float) -> Iterator[Any]:
-        """The actions; after some of them, how long all checks will take: it may be minutes."""
-        opening = time.perf_counter() - begun
-        for k, action in enumerate(actions):
-            if k == _TIMED:
-                each = (time.perf_counter() - begun - opening) / k
-                environments, steps = self._work
-                rest = max(1.0, each * (steps + len(actions) - k) + opening * environments)
-                time_left = f"{rest:.0f} s" if rest < 180.0 else f"{rest / 60.0:.0f} min"
-                self._say(
-                    f"{steps:,} more steps in {environments} more environments: about {time_left}, "
-                    "and less with fewer --steps"
-                )
-            yield action
 
     def _inside(self) -> tuple[Outcome, str]:
         from mbtl.envs.spaces import check_taken

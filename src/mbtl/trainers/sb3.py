@@ -18,7 +18,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import measured, reference_rows
 from mbtl.envs.rollout import Job, end, one_instance, play_counted
-from mbtl.errors import InvalidInput, Notice, missing_extra, unknown_name
+from mbtl.errors import InvalidInput, Notice, unknown_name
 from mbtl.processes import usable_cores
 from mbtl.score import Score
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
@@ -43,7 +43,6 @@ from mbtl.trainers.sb3_learning import (
     learn,
     lightened,
     log_nowhere,
-    run_name,
 )
 from mbtl.trainers.sb3_state import begin_with, freeze, in_steps, pausing, thawed
 
@@ -98,7 +97,6 @@ class SB3Trainer:
         processes: one process for each of them, instead of stepping them in turn in this one.
         apart: every environment has a process of its own, as simulators need of which there can be
             one in a process. None: found out before two are open at once.
-        tensorboard: folder for the library's TensorBoard scalars, one run per training.
         device: torch device.
         threads: torch threads while training and evaluating.
 
@@ -129,7 +127,6 @@ class SB3Trainer:
     n_envs: int = 1
     processes: bool = False
     apart: bool | None = None
-    tensorboard: Path | str | None = None
     device: str = "cpu"
     threads: int = 1
 
@@ -199,7 +196,7 @@ class SB3Trainer:
             return self._everywhere(contexts).train([{}], seed, length=length, done=done, **asked)
         context, by_episodes = contexts[0], self.episodes is not None
         until = None if length is None else round(length * self.whole)
-        begun, name = round(done * self.whole), run_name(context, seed)
+        begun = round(done * self.whole)
         planned = max(self.whole, until or 0)
         algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack:
@@ -210,8 +207,6 @@ class SB3Trainer:
                 make_envs = partial(self._training_envs, context, stack)
                 found = thawed(state, seed, make_envs, stack)
             model, episodes = found or self._begun(algorithm, context, seed, start, begun, stack)
-            if self.tensorboard is None:
-                log_nowhere(model)
 
             def played() -> int:  # of a team the library counts the steps of every place
                 return int(model.num_timesteps) // getattr(model.env, "slots", 1)
@@ -222,7 +217,7 @@ class SB3Trainer:
             watch = Watch(model, planned, told, best, episodes, self._score)
             anew = found is None and begun == 0
             if until is None:
-                learn(model, self.timesteps, watch, name, anew=anew)
+                learn(model, self.timesteps, watch, anew=anew)
                 if best is not None:
                     best.visit(model, watch.done, last=True)
                     best.restore(model)
@@ -230,7 +225,7 @@ class SB3Trainer:
             else:
                 if watch.done < until:
                     with pausing(model, watch, until, state):
-                        learn(model, None if by_episodes else planned, watch, name, anew=anew)
+                        learn(model, None if by_episodes else planned, watch, anew=anew)
                     if state is not None:
                         freeze(model, watch, state)
                 watch.report(watch.done)
@@ -267,7 +262,7 @@ class SB3Trainer:
             TrainingFailed: an episode does not end.
         """
         self._look_at(context)
-        one = replace(self, n_envs=1, processes=False, tensorboard=None)
+        one = replace(self, n_envs=1, processes=False)
         algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what the library says of fewer environments
@@ -451,13 +446,11 @@ class SB3Trainer:
                 seed=seed,
                 device=self.device,
                 verbose=0,
-                tensorboard_log=self._log_folder(),
                 **lengths,
             )
         # explores with other numbers than those that the environments draw
         model.action_space.seed(action_seed(seed))
-        if self.tensorboard is None:
-            log_nowhere(model)
+        log_nowhere(model)
         return model
 
     def _policy(self, on_policy: bool) -> str | type:
@@ -533,15 +526,6 @@ class SB3Trainer:
         return BestCheckpoint(
             envs, seeds, every, sampled=self.acting == "sampled", score=self._score
         )
-
-    def _log_folder(self) -> str | None:
-        if self.tensorboard is None:
-            return None
-        from importlib.util import find_spec
-
-        if find_spec("tensorboard") is None:
-            raise missing_extra("tensorboard", "train")
-        return str(self.tensorboard)
 
 
 def _steps(value: Any, envs: Any, name: str) -> Any:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.contexts import Context
 from mbtl.envs.rollout import ENDED, Actor, Env, Job, end, play
 from mbtl.errors import SimulationFailed, TrainingFailed
 from mbtl.score import Score
@@ -46,18 +45,11 @@ def log_nowhere(model: Any) -> None:
     model.set_logger(Logger(folder=None, output_formats=[]))
 
 
-def run_name(context: Context, seed: int) -> str:
-    """Folder name of a TensorBoard run."""
-    parts = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in context.items())
-    name = ",".join(parts) + f",seed={seed}"
-    return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)
-
-
-def learn(model: Any, total: int | None, watch: Watch, name: str, *, anew: bool = True) -> None:
+def learn(model: Any, total: int | None, watch: Watch, *, anew: bool = True) -> None:
     """Learn, and turn a divergence into an error that names it; not `anew`: go on to the total."""
     left = (_FOREVER if total is None else total) - (0 if anew else int(model.num_timesteps))
     try:
-        model.learn(left, callback=watch, tb_log_name=name, reset_num_timesteps=anew)
+        model.learn(left, callback=watch, reset_num_timesteps=anew)
     except _GONE as error:
         raise SimulationFailed(
             f"a training needs its simulators, got the end of a process ({type(error).__name__}) "

@@ -33,7 +33,7 @@ from mbtl.files import whole_file
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.trainers.adapted import begin_statistics, model_of
 from mbtl.trainers.contract import OnProgress, Progress
-from mbtl.trainers.sb3_learning import Watch, close
+from mbtl.trainers.sb3_learning import Watch, close, log_nowhere
 
 _SECONDS = 60.0
 """Between two savings of a training that goes on."""
@@ -127,6 +127,7 @@ def thawed(
     except (OSError, EOFError, pickle.UnpicklingError):
         return None
     model, normalize, envs = content["model"], content["normalize"], content["envs"]
+    log_nowhere(model)
     if envs is None:
         envs = make_envs()
         if normalize is not None:
@@ -154,8 +155,7 @@ def _can_be_copied(envs: Any) -> bool:
 
     if not isinstance(envs, DummyVecEnv):
         return False
-    inner = [getattr(env.unwrapped, "current", env).unwrapped for env in envs.envs]
-    return not any(isinstance(env, EzPickle) for env in inner)
+    return not any(isinstance(env.unwrapped, EzPickle) for env in envs.envs)
 
 
 def begin_with(model: Any, start: Any) -> None:
