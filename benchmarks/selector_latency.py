@@ -23,7 +23,7 @@ from mbtl.selectors import get_selector
 from mbtl.zoo.benchmark.synthetic import SyntheticWorld
 
 GRIDS = "100,10x10x9,100x100"
-SELECTORS = "greedy,mbtl,mbtl-release,mbtl-ei,gp-mbtl,m-mbtl,sd-mbtl,kmeans,specialists"
+SELECTORS = "greedy,mbtl,mbtl-release,mbtl-ei,gp-mbtl,m-mbtl,sd-mbtl,specialists"
 
 
 def world(shape: tuple[int, ...]) -> SyntheticWorld:

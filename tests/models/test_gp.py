@@ -5,7 +5,7 @@ from sklearn_gp import fit_sklearn
 from mbtl.acquisition import argmax_open, optimistic_gain
 from mbtl.errors import InvalidInput
 from mbtl.models import GPSettings, fit_gp
-from mbtl.models.gp import FittedGP, rbf, squared_distances
+from mbtl.models.gp import FittedGP
 
 
 def random_data(seed):
@@ -54,12 +54,12 @@ def pick(gp, x, y, n):
 def test_no_likelihood_is_below_scikit_learn_and_picks_are_equal_where_it_agrees(block):
     """500 data sets in ten blocks, 15 restarts each: the fit finds the global optimum.
 
-    Of the first block, which always runs, one data set of each kind and noise.
+    Of the first block, which always runs, one data set of each kind and noise, 6 restarts.
     """
     for seed in range(50 * block, 50 * block + (50 if block else 12)):
         x, y, n, settings = random_data(seed)
         ours = fit_gp(x, y, settings)
-        reference = fit_sklearn(x, y, settings, restarts=15, seed=seed)
+        reference = fit_sklearn(x, y, settings, restarts=15 if block else 6, seed=seed)
         scale = 1e-6 * (1 + abs(reference.lml))
         assert ours.lml >= reference.lml - scale, f"data set {seed}"
         if abs(ours.lml - reference.lml) <= scale:
@@ -110,11 +110,6 @@ def test_fit_is_the_same_in_any_order_and_dimension():
     assert flat.length == pytest.approx(a.length, rel=1e-5)
 
 
-def test_repeated_points_are_allowed():
-    gp = fit_gp([5.0, 5.0, 9.0], [0.7, 0.9, 0.2], GPSettings(0.1))
-    assert gp.predict(np.array([[5.0]]))[0][0] == pytest.approx(0.8, abs=0.05)
-
-
 def test_prediction_in_blocks_equals_prediction_at_once(monkeypatch):
     gp = fit_gp([1.0, 5.0, 9.0], [0.1, 0.8, 0.3])
     points = np.linspace(0, 10, 101)[:, None]
@@ -131,22 +126,17 @@ def test_believed_points_lower_the_deviation_and_keep_the_mean():
     assert believed.predict(where)[1][0] < 0.1 * gp.predict(where)[1][0]
 
 
-def test_kernel_is_one_at_distance_zero_and_falls():
-    squared = squared_distances(np.array([[0.0, 0.0], [3.0, 4.0]]), np.array([[0.0, 0.0]]))
-    assert rbf(squared, 5.0)[:, 0] == pytest.approx([1.0, np.exp(-0.5)])
-
-
 @pytest.mark.parametrize(
-    ("x", "y"), [([], []), ([1.0], [1.0, 2.0]), ([1.0], [np.nan]), ([np.inf], [1.0])]
+    ("make", "words"),
+    [
+        (lambda: fit_gp([], []), "n >= 1 points"),
+        (lambda: fit_gp([1.0], [1.0, 2.0]), "n >= 1 points"),
+        (lambda: fit_gp([1.0], [np.nan]), "finite points and values"),
+        (lambda: fit_gp([np.inf], [1.0]), "finite points and values"),
+        (lambda: GPSettings(0.0), "noise_std"),
+        (lambda: GPSettings(0.1, length_bounds=(2.0, 1.0)), "low < high"),
+    ],
 )
-def test_unusable_observations_are_refused(x, y):
-    with pytest.raises(InvalidInput):
-        fit_gp(x, y)
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: GPSettings(0.0), lambda: GPSettings(0.1, length_bounds=(2.0, 1.0))]
-)
-def test_impossible_settings_are_refused(make):
-    with pytest.raises(InvalidInput):
+def test_unusable_observations_and_settings_are_refused(make, words):
+    with pytest.raises(InvalidInput, match=words):
         make()

@@ -43,14 +43,6 @@ def test_covariance_is_the_sum_of_the_terms_as_stated():
     assert covariance(LINE, p, one, one) == pytest.approx(variance(p))
 
 
-def test_logarithmic_places_turn_ratios_into_differences():
-    z = LINE.z[:, 0]
-    assert z[0] == 0.0
-    assert z[-1] == 1.0
-    assert z[1] - z[0] == pytest.approx(z[3] - z[1])  # values 1 : 2 as 2 : 4
-    assert np.ptp(Places.of(np.zeros((3, 1)), np.zeros((3, 1))).z) == 0.0
-
-
 def test_every_axis_counts_once_and_only_ratios_that_x_does_not_show_have_a_second_scale():
     linear = ContextSpace.grid({Linear("a", 0, 1): 4, Integer("b", 1, 5): 5})
     places, plain = transfer_places(linear), Places.of(linear.unit, linear.steps)
@@ -62,19 +54,9 @@ def test_every_axis_counts_once_and_only_ratios_that_x_does_not_show_have_a_seco
     axes = [Linear("a", 0.0, 1.0), Categorical("b", ("p", "q", "r", "s"))]
     contexts = [{"a": 0.0, "b": "p"}, {"a": 1.0, "b": "p"}, {"a": 0.0, "b": "s"}]
     x = transfer_places(ContextSpace.points(axes, contexts)).x
+    assert np.ptp(Places.of(np.zeros((3, 1)), np.zeros((3, 1))).z) == 0.0
     root_mean_square = np.sqrt(np.square(x - x[0]).mean(axis=1))
     assert root_mean_square == pytest.approx([0.0, np.sqrt(0.5), np.sqrt(0.5)])
-
-
-@pytest.mark.parametrize("d", [1, 3])
-def test_prior_covariances_are_positive_definite(d):
-    rng = np.random.default_rng(0)
-    steps = rng.integers(0, 6, (12, d)).astype(float)
-    places = Places.of(steps / 5.0, steps)
-    pairs = grid_pairs(np.array([0, 4, 9]), np.arange(12))
-    kernel = covariance(places, PRIOR, pairs, pairs)
-    assert kernel == pytest.approx(kernel.T)
-    assert np.linalg.eigvalsh(kernel).min() > -1e-9
 
 
 def test_posterior_is_that_of_the_normal_distribution():
@@ -100,21 +82,15 @@ def test_posterior_is_that_of_the_normal_distribution():
     assert model.log_likelihood == pytest.approx(density)
 
 
-def test_a_new_training_on_a_known_source_has_luck_of_its_own():
-    pairs = grid_pairs(EVERY[:12], EVERY)
-    y = np.sin(pairs[:, 0] + pairs[:, 1] / 3.0)
-    model = TransferGP(LINE, PRIOR, pairs, y)
-    _, std = model.predict(np.array([5]), EVERY)
-    assert (std**2 > 0.99 * model.scale * (PRIOR.luck + PRIOR.row_luck)).all()
-
-
 def test_a_done_training_is_predicted_as_it_was_seen_and_noise_is_averaged_out():
     pairs = grid_pairs(np.array([3, 15]), EVERY)
     truth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
     exact = TransferGP(LINE, PRIOR, pairs, truth)
     mean, std = exact.predict(np.array([3, 15]), EVERY, np.array([0, 1]))
     assert mean.ravel() == pytest.approx(truth, abs=0.02)
-    assert (std < exact.predict(np.array([3, 15]), EVERY)[1]).all()
+    again = exact.predict(np.array([3, 15]), EVERY)[1]  # a new training has luck of its own
+    assert (std < again).all()
+    assert (again**2 > 0.99 * exact.scale * (PRIOR.luck + PRIOR.row_luck)).all()
     error = 0.3 * np.random.default_rng(0).standard_normal(len(truth))
     noise = np.full(len(truth), 0.09)
     told = TransferGP(LINE, PRIOR, pairs, truth + error, noise)
@@ -145,7 +121,7 @@ def test_scatter_of_pairs_is_believed_where_it_is_seen():
     assert not none.any()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_known_noise_counts_as_far_as_it_is_seen(seed):
     pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
     smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
@@ -171,16 +147,6 @@ def test_the_shape_of_the_gap_moves_with_the_source():
     error = np.abs(mean[0] - plateau(6)).mean()
     assert error < 0.6 * np.abs(plateau(8) - plateau(6)).mean()
     assert error < 0.6 * np.abs(plateau(4) - plateau(6)).mean()
-
-
-def test_blocks_do_not_change_predictions(monkeypatch):
-    import mbtl.models.transfer_gp as module
-
-    pairs = grid_pairs(np.array([2, 8]), EVERY)
-    model = TransferGP(LINE, PRIOR, pairs, np.concatenate([plateau(2), plateau(8)]))
-    whole = model.predict(EVERY, EVERY)
-    monkeypatch.setattr(module, "_BLOCK_ENTRIES", 1)
-    assert np.array(model.predict(EVERY, EVERY)) == pytest.approx(np.array(whole))
 
 
 def test_bad_input_is_refused():

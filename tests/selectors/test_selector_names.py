@@ -78,11 +78,8 @@ def test_one_method_is_enough_for_a_selector():
     assert [study.ask().source, study.ask().source] == [4, 3]
     assert study.spec.selector["name"] == "Bare"
     assert traits_of(study.selector) == Traits()
-
-
-def test_a_selector_without_a_name_may_say_what_it_can():
     bare = Bare()
-    bare.traits = Traits(one_axis=True)
+    bare.traits = Traits(one_axis=True)  # it may say what it can
     assert traits_of(get_selector(bare)).one_axis
 
 

@@ -18,7 +18,6 @@ Notation (shapes): k policies, N contexts, T targets asked about, n observations
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.models.priors import PRIORS
-from mbtl.models.transfer_gp import ENOUGH, NOISIER, TransferGP
+from mbtl.models.transfer_gp import ENOUGH, TransferGP, likely_noise
 from mbtl.models.transfer_kernel import Located, Pairs, Places, TransferPrior, transfer_places
 
 Indices = NDArray[np.intp]
@@ -169,9 +168,10 @@ class Beliefs:
     @cached_property
     def _likely_prior(self) -> TransferPrior:
         """With pairs that are noisy themselves, where only that explains how they scatter."""
-        noisy = replace(self._prior, noise=NOISIER * self._prior.noise)
-        quiet, loud = (self._fitted(p, ENOUGH)[0].log_likelihood for p in (self._prior, noisy))
-        return noisy if loud > quiet + _SLACK else self._prior
+        return likely_noise(
+            self._places, self._prior, *self._data(*self._observed(ENOUGH)), shares=(1.0,),
+            slack=_SLACK,
+        )[0]  # fmt: skip
 
     def _observed(self, most: int) -> tuple[Indices, Indices]:
         """Rows and targets of at most so many measured entries, evenly thinned."""
@@ -184,19 +184,17 @@ class Beliefs:
     def _pairs(self, row: Indices, target: Indices) -> Pairs:
         return np.column_stack([self._sources[row], target, row])
 
-    def _fitted(
-        self, prior: TransferPrior, most: int
-    ) -> tuple[TransferGP, tuple[Indices, Indices]]:
-        row, target = self._observed(most)
+    def _data(self, row: Indices, target: Indices) -> tuple[Pairs, Array, Array | None]:
+        """Measured entries as the model takes them: pairs, performance and noise."""
         noise = None if self._true is None else self._noise(self._even, row, target)
-        y = self._rows[row, target]
-        return TransferGP(self._places, prior, self._pairs(row, target), y, noise), (row, target)
+        return self._pairs(row, target), self._rows[row, target], noise
 
     def _model(self, asked: int) -> tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]:
         """The model, the entries it was conditioned on, and (k, N) which these are."""
         most = int(np.clip(np.sqrt(_WORK / max(asked, 1)), _LEAST, _MOST))
         if most not in self._models:
-            model, observed = self._fitted(self._likely_prior, most)
+            observed = self._observed(most)
+            model = TransferGP(self._places, self._likely_prior, *self._data(*observed))
             used = np.zeros(self._rows.shape, dtype=bool)
             used[observed] = True
             self._models[most] = model, observed, used

@@ -10,7 +10,7 @@ Notation (shapes): n observed pairs, m queried pairs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,7 +37,7 @@ _USUAL = 0.05
 _ROUNDS = 12
 """At most so many fits to find the factor beside a known noise."""
 _SHARES = (0.0, 0.1, 0.3, 1.0)
-NOISIER = 50.0
+_NOISIER = 50.0
 """How many times the usual own scatter of pairs is that of pairs that are noisy themselves."""
 ENOUGH = 300
 """Observations that decide how noisy the others are."""
@@ -240,6 +240,9 @@ def likely_noise(
     pairs: Pairs,
     y: Array,
     known: Array | None = None,
+    *,
+    shares: Sequence[float] = _SHARES,
+    slack: float = 0.0,
 ) -> tuple[TransferPrior, Array]:
     """The noise that makes the observations most likely: that of the prior, and the known one.
 
@@ -253,19 +256,26 @@ def likely_noise(
         prior: of the terms.
         pairs: (n, 3) observed.
         y: (n,) performance there.
-        known: (n,) variance of each y by its episodes; None for none.
+        known: (n,) variance of each y by its episodes, or (n, n) covariance; None for none.
+        shares: of `known` that may count.
+        slack: natural logarithms of likelihood by which noisier pairs must be ahead.
 
     Returns:
-        The prior as it was, or with much noisier pairs; (n,) the part of `known` that counts.
+        The prior as it was, or with much noisier pairs; the part of `known` that counts.
     """
     known = np.zeros(len(y)) if known is None else known
     some = np.linspace(0, len(y) - 1, min(len(y), ENOUGH)).round().astype(np.intp)
     kernel = covariance(places, prior, pairs[some], pairs[some])
-    quiet, noisy = prior.noise, NOISIER * prior.noise
-    beliefs = [(quiet, share) for share in _SHARES if share == 1.0 or known.any()] + [(noisy, 1.0)]
+    quiet, noisy = prior.noise, _NOISIER * prior.noise
+    beliefs = [(quiet, share) for share in shares if share == 1.0 or known.any()] + [(noisy, 1.0)]
+    of_some = known[some] if known.ndim == 1 else known[np.ix_(some, some)]
     with threads_for(len(places.x)):
-        fits = {(o, share): _fit(kernel, o, y[some], share * known[some]) for o, share in beliefs}
-    own, share = max(beliefs, key=lambda belief: fits[belief].log_likelihood)
+        fits = {(o, share): _fit(kernel, o, y[some], share * of_some) for o, share in beliefs}
+
+    def likely(belief: tuple[float, float]) -> float:
+        return fits[belief].log_likelihood - slack * (belief[0] == noisy)
+
+    own, share = max(beliefs, key=likely)
     return replace(prior, noise=own), share * known
 
 

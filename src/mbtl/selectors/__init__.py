@@ -8,14 +8,12 @@ from mbtl.selectors.base import (
     nearest_distance,
     open_candidates,
 )
-from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import LearnedSelector, Proposes, Selector, Traits, traits_of
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
 from mbtl.selectors.m_mbtl import MMBTL
-from mbtl.selectors.mbtl import MBTL
-from mbtl.selectors.mbtl_ei import MBTLEI
+from mbtl.selectors.mbtl import MBTL, MBTLEI
 from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
@@ -33,7 +31,6 @@ __all__ = [
     "Equidistant",
     "Exhausted",
     "Greedy",
-    "KMeansSelector",
     "LearnedSelector",
     "MBTLRelease",
     "Proposal",

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings
+from mbtl.models import GPSettings
 from mbtl.models.constant_mean_gp import fit_constant_mean
-from mbtl.models.directional_gap import DirectionalGap, fit_directional_gap
+from mbtl.models.directional_gap import fit_directional_gap
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Traits
@@ -25,7 +25,7 @@ from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
     gain_by_pairs,
-    observed_best,
+    observed_incumbent,
 )
 
 _SETTINGS = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))
@@ -80,7 +80,11 @@ class GPMBTL:
         mean, std = gp.predict(steps)
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(np.log(k) * (np.square(std) + gp.noise_variance))
-        best = _incumbent(problem, history, gp, gap)
+
+        def rows_of(sources: Array) -> Array:
+            return gp.predict(sources)[0][:, None] + gap.between(sources, steps)
+
+        best = observed_incumbent(problem, history, rows_of)
         gain, asked, notes = gain_by_pairs(
             problem,
             mask,
@@ -88,15 +92,3 @@ class GPMBTL:
         )
         notes = (*gp.notes, *notes)
         return choose(problem, history, gain, std, asked, "largest optimistic gain", notes)
-
-
-def _incumbent(
-    problem: SelectionProblem, history: History, gp: FittedGP, gap: DirectionalGap
-) -> Array:
-    """(N,) `observed_best`, and what pending picks are believed to give."""
-    best = observed_best(problem, history)
-    if history.pending:
-        pending = problem.steps[list(history.pending)]
-        believed = gp.predict(pending)[0][:, None] + gap.between(pending, problem.steps)
-        best = np.maximum(best, believed.max(axis=0))
-    return np.asarray(best)

@@ -31,6 +31,7 @@ from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
     gain_by_pairs,
+    linear_rows,
     observed_incumbent,
     optimistic_gains,
     predicted_rows,
@@ -116,7 +117,7 @@ class MBTL:
     ) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
         """(N,) acquisition, where it was asked, and notes; see `gain_by_pairs`."""
         where, theta = problem.steps, problem.theta
-        best = observed_incumbent(problem, history, gp, theta)
+        best = observed_incumbent(problem, history, linear_rows(problem, gp))
         if self.acquisition == "ei":
 
             def expected(x: Indices, t: Indices, weights: Array) -> Array:
@@ -127,6 +128,17 @@ class MBTL:
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(ucb_weight(k, problem.n)) * std
         return optimistic_gains(problem, mask, upper, best, theta)
+
+
+@dataclass(frozen=True)
+class MBTLEI(MBTL):
+    """`MBTL` with expected improvement, E_x' [ m Phi(m/s) + s phi(m/s) ]; see `expected_gain`.
+
+    Source: the paper's other acquisition (method, sections 2 and 5.8).
+    """
+
+    acquisition: Literal["ucb", "ei"] = "ei"
+    name: str = "mbtl-ei"
 
 
 def start(

@@ -17,6 +17,7 @@ from mbtl.selectors.mbtl import start
 from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
+    linear_rows,
     observed_incumbent,
     optimistic_gains,
 )
@@ -48,7 +49,7 @@ class MBTLRelease:
         mean, std = gp.predict(problem.steps)
         n = len(history) + len(history.pending)
         upper = mean + np.sqrt(np.log(n + 1.0)) * std
-        best = np.maximum(observed_incumbent(problem, history, gp, problem.theta), 0.0)
+        best = np.maximum(observed_incumbent(problem, history, linear_rows(problem, gp)), 0.0)
         gain, asked, notes = optimistic_gains(problem, mask, upper, best, problem.theta)
         notes = (*gp.notes, *notes)
         return choose(problem, history, gain, std, asked, "largest optimistic gain", notes)

@@ -73,14 +73,26 @@ def observed_best(problem: SelectionProblem, history: History) -> Array:
 
 
 def observed_incumbent(
-    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+    problem: SelectionProblem, history: History, rows_of: Callable[[Array], Array]
 ) -> Array:
-    """(N,) `observed_best`, and what pending picks are believed to give."""
-    best, pending = observed_best(problem, history), problem.steps[list(history.pending)]
-    if not len(pending):
+    """(N,) `observed_best`, and what pending picks are believed to give.
+
+    Args:
+        problem: gives the grid steps.
+        history: what was observed, and what is pending.
+        rows_of: (k, D) grid steps of sources to the (k, N) rows that are believed of them.
+    """
+    best = observed_best(problem, history)
+    if not history.pending:
         return best
-    believed = predicted_rows(gp.predict(pending)[0], pending, problem.steps, theta)
+    believed = rows_of(problem.steps[list(history.pending)])
     return np.asarray(np.fmax(best, believed.max(axis=0)))
+
+
+def linear_rows(problem: SelectionProblem, gp: FittedGP) -> Callable[[Array], Array]:
+    """Rows as the posterior of the training performance and the linear gap predict them."""
+    steps, theta = problem.steps, problem.theta
+    return lambda sources: predicted_rows(gp.predict(sources)[0], sources, steps, theta)
 
 
 def predicted_rows(

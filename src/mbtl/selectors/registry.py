@@ -6,14 +6,12 @@ from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.faults import FAULTS, load_object, reason_of
-from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
 from mbtl.selectors.m_mbtl import MMBTL
-from mbtl.selectors.mbtl import MBTL
-from mbtl.selectors.mbtl_ei import MBTLEI
+from mbtl.selectors.mbtl import MBTL, MBTLEI
 from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.sd_mbtl import SDMBTL
@@ -32,7 +30,6 @@ _FACTORIES: dict[str, Callable[[], Selector]] = {
     "gp-mbtl": GPMBTL,
     "m-mbtl": MMBTL,
     "sd-mbtl": SDMBTL,
-    "kmeans": KMeansSelector,
 }
 
 

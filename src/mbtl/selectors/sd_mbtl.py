@@ -12,7 +12,7 @@ Notation (shapes): k rows observed, N targets, D columns of grid steps.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.m_mbtl import MMBTL
-
-Axes = Literal["all", "majority"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +40,14 @@ class Structure:
     spread: float
     gap: DirectionalGap
 
-    def is_mountain(self, axes: Axes = "all") -> bool:
-        """Whether f varies less than transfer does, and return falls both ways along the axes.
+    @property
+    def is_mountain(self) -> bool:
+        """Whether f varies less than transfer does, and return falls both ways along all axes.
 
-        own < spread, and left_q > 0 > right_q on all axes, or on more than half of them.
+        own < spread, and left_q > 0 > right_q.
         """
         falls = (self.gap.left > 0) & (self.gap.right < 0)
-        enough = falls.all() if axes == "all" else 2 * falls.sum() > len(falls)
-        return bool(self.own < self.spread and enough)
+        return bool(self.own < self.spread and falls.all())
 
 
 @dataclass(frozen=True)
@@ -59,8 +57,8 @@ class SDMBTL:
     Rounds 1 to `look_after` are M-MBTL's; from then on the rows are judged anew at every pick.
 
     Where the publication contradicts itself or slips, this is the sound form. *All* axes must fall
-    with distance, as its text says; its code, and so its tables, ask for more than half of them
-    (`axes="majority"`), which lets worlds pass that are directional on a minority of axes. They
+    with distance, as its text says; its code, and so its tables, ask for more than half of them,
+    which lets worlds pass that are directional on a minority of axes. They
     must *fall*: there any two opposite signs would do, which a valley has too. Nothing is kept
     between picks, so M-MBTL never mixes new costs with those from before a round of GP-MBTL. The
     slopes are fitted with a level for each target; fitted as published, centred rows against
@@ -70,13 +68,11 @@ class SDMBTL:
 
     Attributes:
         look_after: rows needed before the structure is judged (published: 6).
-        axes: how many axes must fall with distance.
         cover: the rule for mountains.
         model: the rule for everything else.
     """
 
     look_after: int = 6
-    axes: Axes = "all"
     cover: MMBTL = field(default_factory=MMBTL)
     model: GPMBTL = field(default_factory=GPMBTL)
     name: str = "sd-mbtl"
@@ -87,8 +83,6 @@ class SDMBTL:
             raise InvalidInput(
                 f"look_after must be >= 2, got {self.look_after}; one row shows no structure"
             )
-        if self.axes not in ("all", "majority"):
-            raise InvalidInput(f"axes must be 'all' or 'majority', got {self.axes!r}")
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -96,7 +90,7 @@ class SDMBTL:
         """The pick of the rule that the rows seen speak for."""
         mask = open_candidates(problem, history)
         found = detect(problem, history) if len(history) >= self.look_after else None
-        if found is None or found.is_mountain(self.axes):
+        if found is None or found.is_mountain:
             why = "too early to judge" if found is None else "looks like a mountain"
             proposal = self.cover.propose(problem, history, rng)
         else:

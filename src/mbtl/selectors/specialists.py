@@ -114,7 +114,7 @@ class Specialists:
         return Outlook("specialists", *row_gain.model.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
-        self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs
+        self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Conditioned
     ) -> Proposal:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
@@ -142,7 +142,7 @@ class Specialists:
         chosen = _largest(problem, history, outlook, candidates, gain, costs)
         return replace(chosen, chance=chance, chance_left=left)
 
-    def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
+    def _beliefs(self, problem: SelectionProblem, history: History) -> Conditioned:
         """Condition the model on the rows, at some of the targets."""
         count = min(self.most_targets, max(_PAIRS // len(history), _FEW))
         targets = spread(problem, np.flatnonzero(problem.weights > 0), count)
@@ -162,12 +162,12 @@ class Specialists:
             model = TransferGP(places, believed, np.vstack([pairs, extra]), expected, noise_too)
         trend = fit_linear_trend(problem.steps, pairs, y, known)
         likelier = trend.log_likelihood > told.log_likelihood
-        return Beliefs(
+        return Conditioned(
             problem, history, targets, float(y.max()), floor, told, model, bool(noise.any()),
             trend if likelier else None,
         )  # fmt: skip
 
-    def _judged(self, problem: SelectionProblem, beliefs: Beliefs) -> RowGain:
+    def _judged(self, problem: SelectionProblem, beliefs: Conditioned) -> RowGain:
         """The gain on the targets by which candidates are searched."""
         if beliefs.trend is None:
             return beliefs.row_gain(beliefs.targets)
@@ -285,7 +285,7 @@ def _nearest(places: Array, among: Indices, place: int, count: int) -> Indices:
 
 
 @dataclass(frozen=True)
-class Beliefs:
+class Conditioned:
     """The model after the rows told, and what is expected of pending picks.
 
     Attributes:

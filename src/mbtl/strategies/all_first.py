@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mbtl.contexts.space import middle_of
+from mbtl.contexts import middle_of
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.contract import Selector, Traits

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.contexts.space import middle_of
+from mbtl.contexts import middle_of
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.processes import threads_for

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts.space import middle_of
+from mbtl.contexts import middle_of
 from mbtl.episodes import Episodes
 from mbtl.errors import StudyError
 from mbtl.history import History, Training

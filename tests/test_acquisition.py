@@ -1,8 +1,12 @@
+"""Acquisition: closed answers, also under a posterior that is known: independent Gaussians."""
+
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mbtl.acquisition import argmax_open, expected_gain, optimistic_gain
+from mbtl.acquisition import RowGain, argmax_open, expected_gain, optimistic_gain
 from mbtl.errors import InvalidInput
 
 LINE = np.arange(3.0)[:, None]
@@ -15,18 +19,12 @@ def gain(upper, best, theta, where=LINE, weights=None):
     )
 
 
-def test_gain_is_zero_when_every_target_is_already_served_better():
-    assert gain([0.5] * 3, [0.6] * 3, 0.1) == pytest.approx([0.0] * 3)
-
-
-def test_gain_counts_only_the_improved_targets():
+def test_gain_counts_only_the_improved_targets_by_their_weight():
     # from target 0 with 0.9 and slope 0.3: 0.9, 0.6, 0.3 against 0.5, 0.7, 0.2
     assert gain([0.9, 0, 0], [0.5, 0.7, 0.2], 0.3)[0] == pytest.approx((0.4 + 0.0 + 0.1) / 3)
-
-
-def test_gain_weighs_targets():
     weights = np.array([0.5, 0.5, 0.0])
     assert gain([0.9, 0, 0], [0.5, 0.7, 0.2], 0.3, weights=weights)[0] == pytest.approx(0.2)
+    assert gain([0.5] * 3, [0.6] * 3, 0.1) == pytest.approx([0.0] * 3)
 
 
 def test_distance_is_euclidean_in_steps():
@@ -68,17 +66,18 @@ def test_blocks_do_not_change_the_result(monkeypatch):
     where = rng.uniform(0, 5, (50, 2))
     upper, best = rng.normal(size=50), rng.normal(size=50)
     whole = gain(upper, best, 0.2, where)
-    monkeypatch.setattr("mbtl.acquisition.gain._BLOCK_ENTRIES", 64)
+    monkeypatch.setattr("mbtl.acquisition._BLOCK_ENTRIES", 64)
     assert gain(upper, best, 0.2, where) == pytest.approx(whole, abs=1e-15)
 
 
 def test_misfit_shapes_and_negative_theta_are_refused():
-    with pytest.raises(InvalidInput, match="theta"):
-        gain([1] * 3, [0] * 3, -0.1)
-    with pytest.raises(InvalidInput, match="upper"):
-        gain([1] * 2, [0] * 3, 0.1)
-    with pytest.raises(InvalidInput, match="best"):
-        gain([1] * 3, [0] * 2, 0.1)
+    for words, wrong in (
+        ("theta", ([1] * 3, [0] * 3, -0.1)),
+        ("upper", ([1] * 2, [0] * 3, 0.1)),
+        ("best", ([1] * 3, [0] * 2, 0.1)),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            gain(*wrong)
 
 
 def test_the_argmax_is_the_lowest_of_equals_among_what_is_open():
@@ -88,3 +87,59 @@ def test_the_argmax_is_the_lowest_of_equals_among_what_is_open():
         argmax_open(np.zeros(2), np.zeros(2, bool))
     with pytest.raises(InvalidInput, match="NaN"):
         argmax_open(np.array([0.0, np.nan]), np.ones(2, bool))
+
+
+# ---- of whole rows ---
+
+TARGETS = np.arange(3)
+EVEN = np.full(3, 1 / 3)
+
+
+@dataclass(frozen=True)
+class Known:
+    """Every pair of a source has its mean and the same deviation."""
+
+    means: np.ndarray
+    std: float
+
+    def predict(self, sources, targets):
+        mean = self.means[np.ix_(sources, targets)]
+        return mean, np.full(mean.shape, self.std)
+
+    def predict_pairs(self, pairs):
+        mean = self.means[pairs[:, 0], pairs[:, 1]]
+        return mean, np.full(mean.shape, self.std)
+
+    def draws(self, sources, targets, n, rng):
+        mean = self.predict(sources, targets)[0]
+        return mean + self.std * rng.standard_normal((n, *mean.shape))
+
+
+MEANS = np.array([[0.5, 0.4, 0.3], [0.4, 0.9, 0.8], [0.2, 0.3, 0.6]])
+BEST = np.array([0.5, 0.5, 0.5])
+
+
+def row_gain(seen, std=0.1):
+    return RowGain(Known(MEANS, std), TARGETS, BEST, seen, EVEN)
+
+
+def test_a_model_trusted_beyond_the_best_seen_gains_what_it_predicts():
+    """0.9 and 0.8 where 0.5 was reached: nothing caps them."""
+    assert row_gain(np.inf, std=1e-6).expected(TARGETS) == pytest.approx(
+        [0, 0.7 / 3, 0.1 / 3], abs=1e-6
+    )
+
+
+def test_nothing_gains_more_than_the_best_seen_nor_than_a_training_on_the_target():
+    found = row_gain(0.7, std=1e-6).by_target(TARGETS)
+    assert found[1] == pytest.approx([0.0, 0.2, 0.1], abs=1e-5)  # seen 0.7; 0.6 at home on target 2
+    assert row_gain(0.7).expected(TARGETS)[1] < row_gain(np.inf).expected(TARGETS)[1]
+
+
+@pytest.mark.parametrize("seen", [0.7, np.inf])
+def test_the_expected_gain_is_the_mean_of_what_is_drawn(seen):
+    found = row_gain(seen)
+    for source in TARGETS:
+        drawn = found.drawn(int(source))
+        error = drawn.std() / np.sqrt(len(drawn))
+        assert drawn.mean() == pytest.approx(found.expected(np.array([source]))[0], abs=4 * error)
