@@ -52,25 +52,12 @@ def native_threads() -> int:
 
 
 @contextlib.contextmanager
-def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes for the block.
+def separate_workers(workers: int) -> Iterator[SeparateWorkers]:
+    """Fresh processes for the block that do not share their fate: one that dies is replaced.
 
     An interrupt, and the end of a generator that holds the block, ends them with all they have
     started; any other end waits for the work under way.
     """
-    context = _Context()
-    with ProcessPoolExecutor(workers, context, initializer=_obey) as pool:
-        try:
-            yield pool
-        except (KeyboardInterrupt, GeneratorExit):
-            pool.shutdown(wait=False, cancel_futures=True)
-            _end(context.made)
-            raise
-
-
-@contextlib.contextmanager
-def separate_workers(workers: int) -> Iterator[SeparateWorkers]:
-    """As `worker_pool`, with workers that do not share their fate: one that dies is replaced."""
     separate = SeparateWorkers(workers)
     try:
         yield separate

@@ -24,21 +24,16 @@ def nothing_known(monkeypatch):
     monkeypatch.setattr(opening, "_known", {})
 
 
-def test_environments_without_anything_common_stay_in_one_process():
+def test_what_lives_once_per_process_is_named_with_what_it_says_or_by_what_it_does():
     assert once_per_process(Walk, CONTEXTS) is None
-
-
-def test_a_second_engine_that_is_refused_is_named_with_what_it_says():
     with pytest.warns(Notice, match="every environment gets a process of its own"):
         found = once_per_process(Guarded, CONTEXTS)
-    assert found == Once(
-        "singletons (AssertionError: there should be only one engine in one process)"
-    )
-
-
-def test_a_second_simulation_that_is_silently_the_first_is_found():
+    refused = "(AssertionError: there should be only one engine in one process)"
+    assert found == Once(f"singletons {refused}")
     with pytest.warns(Notice):
         assert once_per_process(Shared, CONTEXTS) == Once("singletons", silent=True)
+    with pytest.raises(InvalidInput, match="same instance twice; build it inside"):
+        once_per_process(only_one, CONTEXTS)
 
 
 def test_libsumo_is_known_before_a_second_is_opened(monkeypatch):
@@ -54,11 +49,6 @@ def test_libsumo_is_known_before_a_second_is_opened(monkeypatch):
     with pytest.warns(Notice, match="libsumo lives once per process"):
         assert once_per_process(Sumo, CONTEXTS) == Once("libsumo")
     assert len(made) == 1
-
-
-def test_one_instance_is_refused():
-    with pytest.raises(InvalidInput, match="same instance twice; build it inside"):
-        once_per_process(only_one, CONTEXTS)
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,6 @@ def test_random_actions_are_any_and_those_of_an_episode_the_same_everywhere():
     np.testing.assert_array_equal(again["random_actions"], rows["random_actions"])
 
 
-def test_unguided_is_what_an_environment_does_by_itself():
-    rows = reference_rows(Guided, CONTEXTS, [range(2)] * len(CONTEXTS), max_envs=2)
-    assert rows["unguided"].tolist() == [[40.0, 40.0], [40.0, 40.0]]
-
-
 @pytest.mark.parametrize(
     "space",
     [spaces.Discrete(3, start=2), spaces.MultiDiscrete([2, 3]), spaces.Box(-np.inf, 1.0, (2,))],

@@ -100,13 +100,6 @@ def test_an_algorithm_counts_from_zero_and_gives_real_numbers(
         assert np.array_equal(shown, seen)
 
 
-def test_what_is_shown_cannot_be_changed_later():
-    value = {"a": np.zeros(2, np.float32)}
-    shown, _ = Plain(Echo(Dict({"a": UNIT}), Discrete(2), value)).reset()
-    value["a"][:] = 1.0
-    assert shown["a"].tolist() == [0.0, 0.0]
-
-
 @pytest.mark.parametrize(
     ("observed", "acted", "said"),
     [

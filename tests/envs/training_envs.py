@@ -7,6 +7,12 @@ import numpy as np
 from gymnasium import spaces
 
 
+def same(one, other):
+    """Whether two models of Stable-Baselines3 have the same weights."""
+    pairs = zip(one.policy.parameters(), other.policy.parameters(), strict=True)
+    return all(bool((a == b).all()) for a, b in pairs)
+
+
 def cartpole(context):
     env = gymnasium.make("CartPole-v1")
     env.unwrapped.length = context["length"]
@@ -122,6 +128,13 @@ class Broken(Guess):
 
     def step(self, action):
         raise RuntimeError("the simulator lost its connection")
+
+
+class Gone(Guess):
+    """What the end of a simulator's process looks like."""
+
+    def step(self, action):
+        raise EOFError
 
 
 class Dies(gymnasium.Env):

@@ -62,17 +62,12 @@ def test_any_depth_and_relu(net_arch):
     assert_same_actions(exported, model)
 
 
-def test_gaussian_spread_is_exported():
+def test_gaussian_spread_is_exported_unless_it_depends_on_the_state():
     model = untrained("PPO", pendulum(NORMAL), policy_kwargs={"log_std_init": -1.5})
     assert export_mlp(model).head.log_std == pytest.approx([-1.5])
-    assert export_mlp(untrained("SAC", pendulum(NORMAL))).head.log_std is None
-
-
-def test_state_dependent_exploration_keeps_only_the_mean():
     model = untrained("PPO", pendulum(NORMAL), use_sde=True)
-    exported = export_mlp(model)
-    assert exported.head.log_std is None
-    assert_same_actions(exported, model)
+    assert export_mlp(model).head.log_std is None
+    assert_same_actions(export_mlp(model), model)
 
 
 def test_observations_of_several_axes_are_flattened():
@@ -93,6 +88,10 @@ def test_other_networks_are_not_exported():
         def forward(self, observations):
             return 2.0 * super().forward(observations)
 
+    class Pixels(Guess):
+        observation_space = spaces.Box(0, 255, (4, 4, 3), np.uint8)
+
+    assert export_mlp(untrained("PPO", Pixels({}))) is None  # the library divides by 255
     elu = {"activation_fn": torch.nn.ELU}
     subclass = {"features_extractor_class": Doubling}
     assert export_mlp(untrained("PPO", cartpole(NORMAL), policy_kwargs=elu)) is None
@@ -101,15 +100,6 @@ def test_other_networks_are_not_exported():
     assert export_mlp(untrained("PPO", GuessBits({}))) is None
     assert export_mlp(untrained("RecurrentPPO", cartpole(NORMAL), "MlpLstmPolicy")) is None
     assert export_mlp(untrained("MaskablePPO", cartpole(NORMAL))) is None
-
-
-def test_observation_scaling_of_images_is_not_lost():
-    class Pixels(Guess):
-        observation_space = spaces.Box(0, 255, (4, 4, 3), np.uint8)
-
-    model = untrained("PPO", Pixels({}))  # MlpPolicy flattens, but the library divides by 255
-    exported = export_mlp(model)
-    assert exported is None
 
 
 def test_export_is_a_copy():

@@ -1,7 +1,7 @@
 """Studies with tuned copies in Stable-Baselines3: what is interrupted ends as what is not."""
 
 import numpy as np
-from training_envs import cartpole
+from training_envs import cartpole, same
 
 import mbtl
 from flat import created, ran
@@ -13,7 +13,7 @@ PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda l
 
 
 def opened(folder=None):
-    trainer = SB3Trainer(cartpole, timesteps=512, hyperparameters=PPO, eval_episodes=1)
+    trainer = SB3Trainer(cartpole, timesteps=256, hyperparameters=PPO, eval_episodes=1)
     return created(
         SPACE, budget=8, trainer=trainer, bounds=(0.0, 200.0), strategy=Warm(), seed=4,
         load_if_exists=True, storage=None if folder is None else folder / "study.db",
@@ -27,11 +27,6 @@ def policies(study):
         )
         for i, row in enumerate(study.state.rows)
     ]  # fmt: skip
-
-
-def same(one, other):
-    pairs = zip(one.policy.parameters(), other.policy.parameters(), strict=True)
-    return all(bool((a == b).all()) for a, b in pairs)
 
 
 def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):

@@ -63,7 +63,11 @@ def refuse_running_statistics(env: Any) -> None:
     layer, seen = env, set()
     while layer is not None and id(layer) not in seen:
         seen.add(id(layer))
-        held = [name for name, value in _attributes(layer) if _is_statistic(name, value)]
+        held = [
+            name
+            for name, value in getattr(layer, "__dict__", {}).items()
+            if _is_statistic(name, value)
+        ]
         frozen = False in (getattr(layer, n, True) for n in ("update_running_mean", "training"))
         if held and not frozen:
             rewards = all(re.search("ret|rew", name.lower()) for name in held)
@@ -79,13 +83,6 @@ def refuse_running_statistics(env: Any) -> None:
                 "keeps them with the policy"
             )
         layer = getattr(layer, "env", None) or getattr(layer, "venv", None)
-
-
-def _attributes(layer: Any) -> list[tuple[str, Any]]:
-    try:
-        return list(vars(layer).items())
-    except TypeError:  # without a __dict__
-        return []
 
 
 def _is_statistic(name: str, value: Any) -> bool:

@@ -43,11 +43,6 @@ class Rollout:
     endings: NDArray[np.int8]
     outside: Outside | None = None
 
-    @property
-    def ended(self) -> bool:
-        """True when at least one episode came to its end."""
-        return bool((self.endings > 0).any())
-
     def not_finite(self) -> str | None:
         """The first NaN or infinity, in words; None when all numbers are finite."""
         for name, values in (("observation", self.observations), ("reward", self.rewards)):

@@ -6,7 +6,7 @@ environments it was trained in. Who uses a policy has neither in mind: so it bri
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,28 +17,30 @@ from mbtl.errors import InvalidInput
 from mbtl.portfolio.mlp import BoxHead, DiscreteHead, MLPPolicy, Scaling
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Statistics:
-    """Running mean and variance of one array of observations, as they are now.
+    """Statistics of observations as they were when a policy was made, of a `VecNormalize`.
 
     Attributes:
-        mean: as long as an observation has numbers.
-        var: likewise.
-        count: observations they were learnt from.
+        rms: the library's running mean and variance; where observations have keys, by key.
         clip: largest absolute value of what is standardised.
         epsilon: added to the variance.
     """
 
-    mean: Any
-    var: Any
-    count: float
+    rms: Any
     clip: float
     epsilon: float
 
-    @property
-    def scaling(self) -> Scaling:
-        """What they do to an observation; as the library's `VecNormalize` does it."""
-        return Scaling(self.mean, np.sqrt(self.var + self.epsilon), self.clip)
+    def scaling(self, key: str = "") -> Scaling:
+        """What they do to an observation."""
+        rms = self.rms[key] if key else self.rms
+        return Scaling(rms.mean, np.sqrt(rms.var + self.epsilon), self.clip)
+
+    def __call__(self, seen: Any) -> Any:
+        """(..., shape) observations, standardised."""
+        if not isinstance(self.rms, dict):
+            return self.scaling()(seen)
+        return {k: self.scaling(k)(part) if k in self.rms else part for k, part in seen.items()}
 
 
 @dataclass(eq=False)
@@ -48,12 +50,12 @@ class AdaptedPolicy:
     Attributes:
         model: the library's.
         adapter: of its choices.
-        statistics: of its observations, by key; "" where there are no keys; none: as they are.
+        statistics: of its observations; None: they are as they are.
     """
 
     model: Any
     adapter: Adapter = field(default_factory=Adapter)
-    statistics: Mapping[str, Statistics] = field(default_factory=dict)
+    statistics: Statistics | None = None
 
     def predict(
         self,
@@ -75,28 +77,13 @@ class AdaptedPolicy:
             head = replace(head, start=tuple(start))
         if isinstance(head, BoxHead):
             head = replace(head, whole=self.adapter.whole)
-        known = self.statistics.get("")
-        return replace(plain, head=head, scaling=None if known is None else known.scaling)
-
-    def record(self) -> dict[str, Any]:
-        """JSON-able, to the last bit."""
-        return {
-            "observed_from": dict(self.adapter.observed_from),
-            "acted_from": self.adapter.acted_from,
-            "whole": self.adapter.whole,
-            "statistics": {
-                key: {**vars(one), "mean": one.mean.tolist(), "var": one.var.tolist()}
-                for key, one in self.statistics.items()
-            },
-        }
+        scaling = None if self.statistics is None else self.statistics.scaling()
+        return replace(plain, head=head, scaling=scaling)
 
     def _predict(self, observation: Any, **given: Any) -> tuple[Any, Any]:
         seen = self.adapter.observation(observation)
-        if "" in self.statistics:
-            seen = self.statistics[""].scaling(seen)
-        elif self.statistics:
-            known = self.statistics
-            seen = {k: known[k].scaling(v) if k in known else v for k, v in seen.items()}
+        if self.statistics is not None:
+            seen = self.statistics(seen)
         action, state = self.model.predict(seen, **given)
         return self.adapter.action(action), state
 
@@ -126,38 +113,19 @@ def adapted(model: Any) -> Any:
     """A model that still has its environments, as it acts in them; itself where nothing differs."""
     envs, normalize = model.env, model.get_vec_normalize_env()
     adapter = Adapter() if hasattr(envs, "slots") else envs.get_attr("adapter", [0])[0]
-    statistics: dict[str, Statistics] = {}
+    statistics = None
     if normalize is not None and normalize.norm_obs:
-        found = normalize.obs_rms
-        found = found if isinstance(found, dict) else {"": found}
-        statistics = {
-            key: Statistics(
-                np.array(one.mean), np.array(one.var), float(one.count),
-                float(normalize.clip_obs), float(normalize.epsilon),
-            )
-            for key, one in found.items()
-        }  # fmt: skip
+        rms, clip = deepcopy(normalize.obs_rms), float(normalize.clip_obs)
+        statistics = Statistics(rms, clip, float(normalize.epsilon))
     return around(model, adapter, statistics)
 
 
-def around(model: Any, adapter: Adapter, statistics: Mapping[str, Statistics]) -> Any:
+def around(model: Any, adapter: Adapter, statistics: Statistics | None) -> Any:
     """A model with its adapter and statistics; itself where it has none."""
-    if not adapter.changes and not statistics:
+    if not adapter.changes and statistics is None:
         return model
     kind = MaskedPolicy if type(model).__name__.startswith("Maskable") else AdaptedPolicy
     return kind(model, adapter, statistics)
-
-
-def read_adapted(model: Any, record: Mapping[str, Any] | None) -> Any:
-    """What `AdaptedPolicy.record` gave, around a model; the model itself for None."""
-    if record is None:
-        return model
-    adapter = Adapter(record["observed_from"], record["acted_from"], record["whole"])
-    statistics = {
-        key: Statistics(**{**one, "mean": np.array(one["mean"]), "var": np.array(one["var"])})
-        for key, one in record["statistics"].items()
-    }
-    return around(model, adapter, statistics)
 
 
 def model_of(policy: Any) -> Any:
@@ -165,21 +133,19 @@ def model_of(policy: Any) -> Any:
     return policy.model if isinstance(policy, AdaptedPolicy) else policy
 
 
-def begin_statistics(model: Any, statistics: Mapping[str, Statistics]) -> None:
+def begin_statistics(model: Any, statistics: Statistics | None) -> None:
     """Let the environments of a model standardise as those of another policy did.
 
     Raises:
         InvalidInput: only one of both standardises.
     """
-    normalize = model.get_vec_normalize_env()
-    running = normalize is not None and normalize.norm_obs
-    if running != bool(statistics):
+    own = model.get_vec_normalize_env()
+    running, begun = own is not None and own.norm_obs, statistics is not None
+    if running != begun:
         raise InvalidInput(
             "a policy that learnt from standardised observations goes on with them, and no other, "
-            f"got normalize_observations={running} and a policy trained with {bool(statistics)}; "
-            "use the trainer that made it"
+            f"got normalize_observations={running} and a policy trained with {begun}; use the "
+            "trainer that made it"
         )
-    for key, one in statistics.items():
-        running_one = normalize.obs_rms[key] if key else normalize.obs_rms
-        running_one.mean, running_one.var = one.mean.copy(), one.var.copy()
-        running_one.count = one.count
+    if statistics is not None:
+        own.obs_rms = deepcopy(statistics.rms)

@@ -38,13 +38,17 @@ from mbtl.trainers.sb3_learning import (
     BestCheckpoint,
     Watch,
     actor_for,
+    begin_with,
     close,
+    freeze,
+    in_steps,
     isolated,
     learn,
     lightened,
     log_nowhere,
+    pausing,
+    thawed,
 )
-from mbtl.trainers.sb3_state import begin_with, freeze, in_steps, pausing, thawed
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")

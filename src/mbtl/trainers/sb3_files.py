@@ -1,30 +1,35 @@
 """Files of a Stable-Baselines3 policy.
 
     model.zip                   the library's own format
-    sb3.json                    which algorithm and versions wrote it, and what stands between the
+    sb3.json                    which algorithm and versions wrote it, and the adapter between the
                                 model and its environments (`mbtl.trainers.adapted`)
+    statistics.pkl              statistics of observations, where they are standardised
     weights.npz, policy.json    numpy copy of the acting network, where there is one (`export_mlp`)
 
-Reading `model.zip` can execute code: the library keeps some settings in it as cloudpickle. Open
-only files you trust; the numpy copy is always safe and needs no torch.
+Reading `model.zip` and `statistics.pkl` can execute code: they hold pickles. Open only
+files you trust; the numpy copy is always safe and needs no torch.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
+import pickle
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from mbtl.envs.adapter import Adapter
 from mbtl.errors import InvalidInput, MbtlError, StorageError
 from mbtl.files import read_json
-from mbtl.trainers.adapted import AdaptedPolicy, model_of, read_adapted
+from mbtl.trainers.adapted import AdaptedPolicy, around, model_of
 from mbtl.trainers.algorithms import algorithm_class
 from mbtl.trainers.export import export_mlp
 from mbtl.trainers.sb3_learning import isolated
 
 MODEL_FILE = "model.zip"
 RECORD_FILE = "sb3.json"
+STATISTICS_FILE = "statistics.pkl"
 
 
 def save_sb3(policy: Any, folder: Path) -> None:
@@ -37,10 +42,12 @@ def save_sb3(policy: Any, folder: Path) -> None:
         "kind": "stable-baselines3 policy",
         "algorithm": kind.__name__,
         "package": package,
-        **({"adapted": policy.record()} if isinstance(policy, AdaptedPolicy) else {}),
+        **({"adapted": asdict(policy.adapter)} if isinstance(policy, AdaptedPolicy) else {}),
         "versions": {n: importlib.metadata.version(n) for n in ("stable-baselines3", "torch")},
     }
     (folder / RECORD_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    if (statistics := getattr(policy, "statistics", None)) is not None:
+        (folder / STATISTICS_FILE).write_bytes(pickle.dumps(statistics))
     exported = export_mlp(policy)
     if exported is not None:
         exported.save(folder)
@@ -73,7 +80,9 @@ def load_sb3(folder: Path | str, algorithm: str | type | None = None, device: st
         kind = algorithm_class(record["algorithm"] if algorithm is None else algorithm)
         with isolated():  # the library seeds the global generators when it builds a model
             model = kind.load(folder / MODEL_FILE, device=device)
-        return read_adapted(model, record.get("adapted"))
+        file = folder / STATISTICS_FILE
+        statistics = pickle.loads(file.read_bytes()) if file.exists() else None
+        return around(model, Adapter(**record.get("adapted", {})), statistics)
     except MbtlError:
         raise
     except Exception as error:  # a damaged or foreign zip raises whatever its parts raise

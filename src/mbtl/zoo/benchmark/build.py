@@ -26,7 +26,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, cannot_write, few
 from mbtl.files import claimed_folder, whole_file
-from mbtl.processes import worker_pool
+from mbtl.processes import separate_workers
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.trainers.contract import (
     ManyTrainer,
@@ -398,7 +398,7 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
         return
     _check_sent(pieces[0], workers)
     todo = iter(pieces)
-    with worker_pool(workers) as pool:
+    with separate_workers(workers) as pool:
         running = {pool.submit(perform, piece): piece for piece in islice(todo, workers)}
         try:
             while running:
