@@ -22,6 +22,12 @@ def make_env(context):
 """
 
 
+BROKEN = {
+    "broken_import": "import not_installed_at_all", "broken_sum": "1 / 0", "broken_text": "def",
+    "json": "cmdp = 1",
+}  # fmt: skip
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A working folder with modules of its own, forgotten afterwards."""
@@ -38,11 +44,8 @@ def folder(tmp_path, monkeypatch):
 def test_ids_and_own_problems_resolve_alike(folder):
     assert resolve_cmdp("cartpole-length").id == "cartpole-length"
     assert resolve_cmdp("own_problem:cmdp").id == "mine"
-    assert resolve_cmdp("own_problem.py:cmdp") is resolve_cmdp("own_problem:cmdp")
-
-
-def test_dotted_attributes(folder):
     assert load_object("own_problem:Inner.value") == 7
+    assert resolve_cmdp("own_problem.py:cmdp") is resolve_cmdp("own_problem:cmdp")
 
 
 def test_a_file_elsewhere_and_the_modules_beside_it(folder):
@@ -63,31 +66,17 @@ def test_a_file_elsewhere_and_the_modules_beside_it(folder):
         ("own_problm:cmdp", InvalidInput, "no module is called 'own_problm'"),
         ("own_problem:cmpd", UnknownName, "Did you mean 'cmdp'"),
         ("nowhere.py:cmdp", InvalidInput, "no file 'nowhere.py'"),
+        ("broken_import:cmdp", InvalidInput, "No module named 'not_installed_at_all'"),
+        ("broken_sum:cmdp", InvalidInput, "ZeroDivisionError"),
+        ("broken_text:cmdp", InvalidInput, "SyntaxError"),
+        ("json.py:cmdp", InvalidInput, "rename the file"),  # an installed module has that name
     ],
 )
-def test_what_cannot_be_found_is_named(folder, reference, error, match):
+def test_what_cannot_be_loaded_is_named(folder, reference, error, match):
+    for name, code in BROKEN.items():
+        (folder / f"{name}.py").write_text(code)
     with pytest.raises(error, match=match):
         load_object(reference)
-
-
-@pytest.mark.parametrize(
-    ("code", "match"),
-    [
-        ("import not_installed_at_all", "No module named 'not_installed_at_all'"),
-        ("1 / 0", "ZeroDivisionError"),
-        ("def", "SyntaxError"),
-    ],
-)
-def test_a_module_that_fails_says_how(folder, code, match):
-    (folder / "broken_one.py").write_text(code)
-    with pytest.raises(InvalidInput, match=match):
-        load_object("broken_one:cmdp")
-
-
-def test_a_file_named_like_an_installed_module_is_refused(folder):
-    (folder / "json.py").write_text("cmdp = 1\n")
-    with pytest.raises(InvalidInput, match="rename the file"):
-        load_object("json.py:cmdp")
 
 
 def test_only_a_cmdp_is_a_cmdp(folder):

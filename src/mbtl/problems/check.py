@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -196,45 +196,40 @@ _ENDING = 2000
 """Steps within which an episode of unknown length is looked for an end."""
 
 
+@dataclass
 class Probe:
-    """Runs one environment factory through all checks that need its dynamics."""
+    """Runs one environment factory through all checks that need its dynamics.
 
-    def __init__(
-        self,
-        make_env: Callable[[Context], Any],
-        space: ContextSpace,
-        nominal: Mapping[str, Value] | None,
-        steps: int,
-        seed: int,
-        horizon: int | None = None,
-        *,
-        score: Score | None = None,
-        taken: bool = False,
-        lives_well: bool = False,
-        say: Callable[[str], None] = lambda line: None,
-    ) -> None:
-        """Nothing is made yet.
+    Attributes:
+        make_env: context -> environment.
+        space: of the contexts.
+        nominal: where one axis is varied at a time; None: the middle of the space.
+        steps: of each rollout.
+        seed: of resets and actions.
+        horizon: longest episode, where it is declared.
+        score: what must be told at the end of an episode.
+        taken: Stable-Baselines3 must take the spaces.
+        lives_well: environments are known to run beside each other in one process.
+        say: told of each check as it begins.
+    """
 
-        Args:
-            make_env: context -> environment.
-            space: of the contexts.
-            nominal: where one axis is varied at a time; None: the middle of the space.
-            steps: of each rollout.
-            seed: of resets and actions.
-            horizon: longest episode, where it is declared.
-            score: what must be told at the end of an episode.
-            taken: Stable-Baselines3 must take the spaces.
-            lives_well: environments are known to run beside each other in one process.
-            say: told of each check as it begins.
-        """
-        self.space, self.steps, self.seed, self.horizon = space, steps, seed, horizon
-        self._make_env, self._say, self._score, self._taken = make_env, say, score, taken
-        self._lives_well = lives_well
-        self._ends = {axis.name: _ends(space, axis.name) for axis in space.axes}
-        if nominal is None:
-            nominal = space.context(_central(space))
-        space.encode(nominal)
-        self._base: Context = dict(nominal)
+    make_env: Callable[[Context], Any]
+    space: ContextSpace
+    nominal: Mapping[str, Value] | None
+    steps: int
+    seed: int
+    horizon: int | None = None
+    _: KW_ONLY
+    score: Score | None = None
+    taken: bool = False
+    lives_well: bool = False
+    say: Callable[[str], None] = lambda line: None
+
+    def __post_init__(self) -> None:
+        self._ends = {axis.name: _ends(self.space, axis.name) for axis in self.space.axes}
+        middle = self.space.context(_central(self.space))
+        self._base: Context = dict(middle if self.nominal is None else self.nominal)
+        self.space.encode(self._base)
         self._actions: list[Any] = []
         self._first: Rollout | None = None  # of the base context, before any other was simulated
         self._sound = False
@@ -257,7 +252,7 @@ class Probe:
         yield from self._guard("episodes end", self._episodes_end)
 
     def _guard(self, name: str, check: Callable[[], tuple[Outcome, str]]) -> Iterator[Check]:
-        self._say(name)
+        self.say(name)
         try:
             outcome, detail = check()
         except MissingExtra:  # the machine's fault, not the environment's
@@ -273,7 +268,7 @@ class Probe:
             return roll(env, self._actions, self.seed)
 
     def _make(self, context: Context) -> Any:
-        env = self._make_env(dict(context))  # a copy: an environment may change its argument
+        env = self.make_env(dict(context))  # a copy: an environment may change its argument
         from mbtl.envs.slots import as_one  # needs Gymnasium, which is there by now
 
         return as_one(env)
@@ -289,18 +284,18 @@ class Probe:
         from mbtl.envs.remote import remote
 
         found = None
-        if not self._lives_well:
+        if not self.lives_well:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", Notice)  # it is in the report
                 found = once_per_process(
-                    self._make_env, self._extremes(), steps=min(self.steps, TRIED)
+                    self.make_env, self._extremes(), steps=min(self.steps, TRIED)
                 )
         self._sound = True
         if found is None:
             return "passed", "two in one process do not disturb each other"
         apart = f"{found.name} lives once per process, so each gets a process of its own"
         if not found.silent:  # else it is a fault, which goes on to be found
-            self._make_env = partial(remote, self._make_env)
+            self.make_env = partial(remote, self.make_env)
         return "warning", apart + " in trainings" * found.silent
 
     def _first_rollout(self) -> tuple[Outcome, str]:
@@ -319,7 +314,7 @@ class Probe:
         if miss is not None and miss.far:
             return "failed", f"an observation is far outside its space: {miss.said}"
         with opened(partial(self._make, self._base)) as (env,):
-            if self._taken:
+            if self.taken:
                 check_taken(env.observation_space, env.action_space)
         if miss is not None:
             return "warning", f"an observation is a little outside its space: {miss.said}"
@@ -391,7 +386,7 @@ class Probe:
             steps = self.horizon or limit or max(self.steps, _ENDING)
             info = _last_info(env, steps, self.seed)
         if info is not None:
-            told = "" if self._score is None else f", score {self._score.read(info):.4g}"
+            told = "" if self.score is None else f", score {self.score.read(info):.4g}"
             return "passed", f"within {steps} steps of random actions{told}"
         if self.horizon is not None:
             return "failed", f"none within the declared horizon of {steps} steps"
