@@ -65,9 +65,7 @@ class AdaptedPolicy:
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Actions of the environment for one of its observations or a batch, as the model's."""
-        return self._predict(
-            observation, state=state, episode_start=episode_start, deterministic=deterministic
-        )
+        return self._predict(observation, state, episode_start, deterministic)
 
     def exported(self, plain: MLPPolicy) -> MLPPolicy:
         """The same around a numpy copy of the model."""
@@ -80,11 +78,11 @@ class AdaptedPolicy:
         scaling = None if self.statistics is None else self.statistics.scaling()
         return replace(plain, head=head, scaling=scaling)
 
-    def _predict(self, observation: Any, **given: Any) -> tuple[Any, Any]:
+    def _predict(self, observation: Any, *given: Any) -> tuple[Any, Any]:
         seen = self.adapter.observation(observation)
         if self.statistics is not None:
             seen = self.statistics(seen)
-        action, state = self.model.predict(seen, **given)
+        action, state = self.model.predict(seen, *given)
         return self.adapter.action(action), state
 
 
@@ -100,13 +98,7 @@ class MaskedPolicy(AdaptedPolicy):
         action_masks: Any = None,
     ) -> tuple[Any, Any]:
         """As of `AdaptedPolicy`; masks are those of the environment."""
-        return self._predict(
-            observation,
-            state=state,
-            episode_start=episode_start,
-            deterministic=deterministic,
-            action_masks=action_masks,
-        )
+        return self._predict(observation, state, episode_start, deterministic, action_masks)
 
 
 def adapted(model: Any) -> Any:
