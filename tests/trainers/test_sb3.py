@@ -191,7 +191,7 @@ def test_contexts_of_one_physics_are_evaluated_in_episodes_of_their_own():
 def test_best_checkpoint_leaves_the_training_alone_and_gives_what_it_was_chosen_for():
     plain, watched = [], []
     final = ppo(timesteps=1024).train([POLE], 2, on_progress=plain.append).policy
-    chosen = ppo(timesteps=1024, checkpoint="best", checkpoint_episodes=3)
+    chosen = ppo(timesteps=1024, checkpoint="best", checkpoint_every=128, checkpoint_episodes=3)
     best = chosen.train([POLE], 2, on_progress=watched.append).policy
     told, seen = (
         [r.metrics["episode_return"] for r in some if "episode_return" in r.metrics]
