@@ -1,14 +1,14 @@
 """Acquisition: how much would the portfolio gain if we trained at x next?
 
-Formulas over posteriors, and the argmax over a finite set. Notation (shapes): M candidates, N
-targets, D columns of grid steps.
+Formulas over posteriors, and the argmax over a finite set. All are O(M N) time in blocks of bounded
+memory, for any D. Notation (shapes): M candidates, N targets, D columns of grid steps.
+
     upper       (M,)    optimistic training performance mu(x) + sqrt(beta) sigma(x)
     mean, std   (M,)    posterior of the training performance
     candidates  (M, D)  where we could train;  targets (N, D)  where policies will run
     best        (N,)    generalisation performance so far
     weights     (N,)    target weights, sum 1
     theta               slope of the linear gap, performance per grid step
-All are O(M N) time in blocks of bounded memory, for any D.
 """
 
 from __future__ import annotations
