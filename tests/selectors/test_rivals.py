@@ -10,11 +10,11 @@ from mbtl.history import History
 from mbtl.models import GPSettings
 from mbtl.models.constant_mean_gp import fit_constant_mean
 from mbtl.models.directional_gap import fit_directional_gap
-from mbtl.selectors import GPMBTL, MMBTL, SDMBTL, SelectionProblem, get_selector
+from mbtl.selectors import GPMBTL, MMBTL, SDMBTL, KMeansSelector, SelectionProblem, get_selector
 from mbtl.selectors.sd_mbtl import detect
 from mbtl.zoo.benchmark import synthetic_world
 
-RIVALS = ("gp-mbtl", "m-mbtl", "sd-mbtl")
+RIVALS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "kmeans")
 WIDE = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))
 
 
@@ -212,6 +212,34 @@ def test_too_little_evaluated_leaves_the_structure_open():
     assert detect(problem_of(5, 5), history) is None
     proposal = SDMBTL().propose(problem_of(5, 5, budget=10), history, np.random.default_rng(0))
     assert proposal.reason.startswith("too early")
+
+
+# ---- k-means ---------------------------------------------------------------------------------
+
+
+def clumps():
+    """Five contexts around 0.1 and three around 0.9 of the only axis."""
+    places = [0.86, 0.9, 0.94, 0.06, 0.08, 0.1, 0.12, 0.14]
+    return ContextSpace.points([Linear("x", 0, 1)], [{"x": x} for x in places])
+
+
+def test_k_means_takes_the_middle_of_each_clump_the_largest_first():
+    problem, history = SelectionProblem.of(clumps(), budget=2), History(8)
+    for expected in (5, 1):
+        source = KMeansSelector().propose(problem, history, np.random.default_rng(0)).source
+        assert source == expected
+        history = history.with_row(source, np.zeros(8))
+
+
+def test_k_means_counts_weights_and_uses_up_the_centre_of_a_failure():
+    heavy = ContextSpace.points(
+        [Linear("x", 0, 1)], clumps().contexts, weights=[3.0] * 3 + [1.0] * 5
+    )
+    problem = SelectionProblem.of(heavy, budget=2)
+    first = KMeansSelector().propose(problem, History(8), np.random.default_rng(0)).source
+    assert first == 1
+    failed = History(8).with_failure(1)
+    assert KMeansSelector().propose(problem, failed, np.random.default_rng(0)).source == 5
 
 
 # ---- all -------------------------------------------------------------------------------------

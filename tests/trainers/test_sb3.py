@@ -405,6 +405,36 @@ def test_foreign_or_damaged_folders_give_one_clear_error(trained, tmp_path):
         load_sb3(tmp_path)
 
 
+def test_portfolio_of_trained_policies_works_without_torch(trained, tmp_path):
+    from mbtl.contexts import ContextSpace, Linear
+    from mbtl.objective import Bounds
+    from mbtl.portfolio import Portfolio, load_portfolio
+
+    trainer = ppo()
+    (tmp_path / "source-0000").mkdir()
+    trainer.save(trained, tmp_path / "source-0000")
+    space = ContextSpace.grid({Linear("length", 0.1, 1.0, "m"): 3})
+    returns = trainer.evaluate(trained, space.contexts, range(space.n)).mean(axis=1)[None, :]
+    portfolio = Portfolio(
+        space, (0,), returns, Bounds(0, 500),
+        policy_folders=(tmp_path / "source-0000",), policy_format="sb3", load=trainer.load,
+    )  # fmt: skip
+    assert type(portfolio.policy(0)) is type(trained)
+    folder = portfolio.save(tmp_path / "portfolio")
+    assert isinstance(load_portfolio(folder).policy(0), MLPPolicy)
+    assert type(load_portfolio(folder, load=load_sb3).policy(0)) is type(trained)
+    script = (
+        "import sys, numpy\n"
+        "for name in ('torch', 'stable_baselines3', 'gymnasium'):\n"
+        "    sys.modules[name] = None\n"
+        "from mbtl.portfolio import load_portfolio\n"
+        f"policy = load_portfolio({str(folder)!r}).policy_for({{'length': 0.3}})\n"
+        "print(int(policy.predict(numpy.full(4, 0.1))[0]))\n"
+    )
+    out = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert int(out.stdout) == int(trained.predict(np.full(4, 0.1), deterministic=True)[0])
+
+
 def test_portfolio_without_a_numpy_copy_reads_the_zip_or_names_the_extra(tmp_path, monkeypatch):
     from mbtl.portfolio.archive import load_policy
 

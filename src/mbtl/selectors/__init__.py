@@ -8,6 +8,7 @@ from mbtl.selectors.base import (
     nearest_distance,
     open_candidates,
 )
+from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import LearnedSelector, Proposes, Selector, Traits, traits_of
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
@@ -31,6 +32,7 @@ __all__ = [
     "Equidistant",
     "Exhausted",
     "Greedy",
+    "KMeansSelector",
     "LearnedSelector",
     "MBTLRelease",
     "Proposal",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.faults import FAULTS, load_object, reason_of
+from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
@@ -30,6 +31,7 @@ _FACTORIES: dict[str, Callable[[], Selector]] = {
     "gp-mbtl": GPMBTL,
     "m-mbtl": MMBTL,
     "sd-mbtl": SDMBTL,
+    "kmeans": KMeansSelector,
 }
 
 
