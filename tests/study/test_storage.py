@@ -118,17 +118,6 @@ def test_a_database_at_its_page_limit_loses_nothing(tmp_path):
     assert len(log.read()) == 1
 
 
-def test_an_array_of_one_number_is_read_as_that_number(tmp_path):
-    """A thousand rows of a million contexts are 8 GB; deviations that nobody knows were 8 more."""
-    log = SqlLog(tmp_path / "study.db", "s", create=True)
-    arrays = {"std": np.full(5, np.nan), "returns": np.arange(5.0), "ones": np.ones((2, 3))}
-    log.append(Event("told", {}, arrays), after=0)
-    read = log.read()[0].arrays
-    for name, array in arrays.items():
-        np.testing.assert_array_equal(read[name], array)
-    assert [read[name].strides == (0,) * read[name].ndim for name in arrays] == [True, False, True]
-
-
 @pytest.mark.parametrize("again", [mbtl.load_study, partial(mbtl.create_study, SPACE, **SETTINGS)])
 def test_a_study_is_read_once_when_it_is_opened(tmp_path, monkeypatch, again):
     """A thousand rows of a million contexts take a minute each time."""

@@ -7,7 +7,7 @@ Facts that are not named here are free: a version may note more.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -19,16 +19,17 @@ from mbtl.plain import LARGEST
 from mbtl.study.events import Event, Kind
 from mbtl.study.spec import (
     COUNT,
+    FLAG,
     NUMBER,
+    RECORD,
     TEXT,
     Rule,
     at_least,
     each,
     is_number,
-    is_record,
     is_text,
     is_whole,
-    maybe,
+    or_null,
     short,
 )
 from mbtl.study.state import StudyState
@@ -86,13 +87,11 @@ def check_event(event: Event, state: StudyState) -> None:
         )
     for name, shape in shapes.items():
         array = event.arrays[name]
-        most = np.float64(2.0 * LARGEST)  # of a mean, and of a deviation of numbers within it
-        least = np.float64(0.0) if name == "std" else -most
         proper = array.dtype.kind in "fiu" and array.shape == shape
-        if not proper or ((array < least) | (array > most)).any():
+        if not proper or (np.abs(array) > np.float64(LARGEST)).any():
             raise InvalidInput(
-                f"array `{name}` must hold numbers of shape {shape}, from {least:g} to {most:g} or "
-                f"NaN, got {array.dtype} of shape {array.shape}"
+                f"array `{name}` must hold numbers of shape {shape}, within {LARGEST:g} or NaN, "
+                f"got {array.dtype} of shape {array.shape}"
             )
     if event.kind in ("asked", "told"):
         _check_training(event, state)
@@ -108,14 +107,13 @@ def _check_training(event: Event, state: StudyState) -> None:
         if pick is not None and tuple(data["sources"]) != pick.sources:
             raise InvalidInput(f"`sources` must be the contexts of its pick, got {data['sources']}")
         return
-    for facts in (data, *(data.get("ahead") or ())):
-        asked = state.planned(facts)
-        if not asked.length and None in (asked.start, asked.targets):
-            raise InvalidInput("a pick that only evaluates a policy has a start and targets")
-        if asked.length and asked.length <= asked.done:
-            raise InvalidInput(
-                f"a training goes on beyond what it had, {asked.done:g} units, got {asked.length:g}"
-            )
+    asked = state.planned(data)
+    if not asked.length and None in (asked.start, asked.targets):
+        raise InvalidInput("a pick that only evaluates a policy has a start and targets")
+    if asked.length and asked.length <= asked.done:
+        raise InvalidInput(
+            f"a training goes on beyond what it had, {asked.done:g} units, got {asked.length:g}"
+        )
 
 
 def is_policy_place(path: object) -> bool:
@@ -129,137 +127,99 @@ def is_policy_place(path: object) -> bool:
 # ---- rules -------------------------------------------------------------------------------------
 
 
-def _has(rules: Mapping[str, Rule]) -> Callable[[Any], bool]:
-    return lambda value: (
-        is_record(value) and all(holds(value.get(name)) for name, (holds, _) in rules.items())
-    )
+def _named(letters: str) -> Rule:
+    def holds(value: Any) -> bool:
+        return is_text(value) and re.fullmatch(f"[{letters}]{{1,64}}", value) is not None
+
+    return holds, "1 to 64 letters and digits, since a folder is named by it"
 
 
-_MAYBE_TEXT: Rule = (maybe(is_text), "text, or null")
-_SECONDS: Rule = (maybe(at_least(0.0)), "a finite number >= 0, or null")
-_TOKEN: Rule = (
-    lambda value: is_text(value) and re.fullmatch("[A-Za-z0-9]{1,64}", value) is not None,
-    "1 to 64 letters and digits, since a folder is named by it",
+_TOKEN, _UID = _named("A-Za-z0-9"), _named("A-Za-z0-9_-")
+_MAYBE_TEXT = or_null(TEXT)
+_SECONDS = or_null((at_least(0.0), "a finite number >= 0"))
+_UNITS = or_null(
+    (lambda value: is_number(value) and 0.0 <= value <= _LONGEST, "a number of units >= 0")
 )
-_MAYBE_TOKEN: Rule = (maybe(_TOKEN[0]), f"{_TOKEN[1]}, or null")
-_UNITS: Rule = (
-    maybe(lambda value: is_number(value) and 0.0 <= value <= _LONGEST),
-    "a number of units >= 0, or null",
-)
-_UID: Rule = (
-    lambda value: is_text(value) and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value) is not None,
-    "1 to 64 letters and digits, since a folder is named by it",
-)
-_POLICY: Rule = (
-    maybe(is_policy_place),
-    "a folder inside the study's own, as a relative path, or null",
-)
+_POLICY = or_null((is_policy_place, "a folder inside the study's own, as a relative path"))
+_HOLDER = {"worker": TEXT, "token": _TOKEN, "seconds": _SECONDS}
 
 
 def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     """The facts that an event of this kind must hold now."""
     if not state.seq:
-        return {"version": TEXT, "uid": _UID, "spec": (is_record, "a record")}
-    n, asked, least, now = (
-        state.spec.space.n, len(state.picks), state.spec.budget, state.spec.steps
-    )  # fmt: skip
-    index: Callable[[Any], bool] = lambda i: is_whole(i) and i < n  # noqa: E731
+        return {"version": TEXT, "uid": _UID, "spec": RECORD}
+    n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
+    least, now = state.spec.budget, state.spec.steps
+
+    def number(holds: Callable[[int], bool], words: str) -> Rule:
+        return (lambda i: is_whole(i) and holds(i)), words
+
+    index = number(lambda i: i < n, "")[0]
     sources: Rule = (
         lambda some: each(index)(some) and 0 < len(some) == len(set(some)),
         f"different context indices from 0 to {n - 1}, one or more",
     )
-    told: Rule = (
-        lambda i: is_whole(i) and state.place_of(i) >= 0,
-        "the number of the event that told a row",
+    rising: Rule = (
+        lambda some: sources[0](some) and list(some) == sorted(some),
+        f"{sources[1]}, rising",
     )
-    proposed: dict[str, Rule] = {
-        "sources": sources,
-        "start": (maybe(told[0]), f"{told[1]}, or null"),
-        "length": _UNITS,
-        "reason": TEXT,
-        "acquisition": NUMBER,
-        "notes": (each(is_text), "a list of texts"),
-        "targets": (maybe(sources[0]), f"{sources[1]}, or null"),
-    }
-    one_open: Rule = (
-        lambda i: is_whole(i) and i in state.open_picks,
-        "the number of an open pick",
+    told = number(lambda i: state.place_of(i) >= 0, "the number of the event that told a row")
+    one_open = number(lambda i: i in state.open_picks, "the number of an open pick")
+    next_or_open = number(
+        lambda i: i in state.open_picks or i == asked, f"{one_open[1]}, or of the next one"
     )
-    next_or_open: Rule = (
-        lambda i: is_whole(i) and (i in state.open_picks or i == asked),
-        "the number of an open pick, or of the next one",
-    )
-    failure = {
-        "token": _MAYBE_TOKEN,
+    failure: dict[str, Rule] = {
+        "token": or_null(_TOKEN),
         "pick": one_open,
         "reason": TEXT,
         "traceback": _MAYBE_TEXT,
-        "pruned": (maybe(lambda value: isinstance(value, bool)), "true, false or null"),
+        "pruned": or_null(FLAG),
         "steps": _SECONDS,
     }
-    returns: dict[str, Rule] = {
-        "targets": (
-            lambda some: some is None or (sources[0](some) and list(some) == sorted(some)),
-            f"{sources[1]}, rising, or null",
-        ),
-        "episodes": COUNT,
-    }
+    returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": COUNT}
+    raised = "a budget can only be raised"
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {
-            "budget": (
-                lambda k: is_whole(k) and k >= least,
-                f"{least} trainings or more: a budget can only be raised",
-            ),
-            "steps": (
-                lambda k: k is None if now is None else is_whole(k) and k > now,
-                "null" if now is None else f"more than {now} steps: a budget can only be raised",
-            ),
+            "budget": number(lambda k: k >= least, f"{least} trainings or more: {raised}"),
+            "steps": (lambda steps: steps is None, "null")
+            if now is None
+            else number(lambda steps: steps > now, f"more than {now} steps: {raised}"),
         },
         "asked": {
-            "pick": (lambda i: is_whole(i) and i == asked, f"the number {asked} of the next pick"),
-            **proposed,
-            "worker": TEXT,
-            "token": _TOKEN,
-            "seconds": _SECONDS,
-            "ahead": (maybe(each(_has(proposed))), "a list of proposals, or null"),
-        },
-        "claimed": {
-            "pick": next_or_open,
-            "worker": TEXT,
-            "token": _TOKEN,
-            "seconds": _SECONDS,
-        },
-        "released": {"pick": next_or_open},
-        "voided": {
-            "told": told,
+            "pick": number(lambda i: i == asked, f"the number {asked} of the next pick"),
+            "sources": sources,
+            "start": or_null(told),
+            "length": _UNITS,
             "reason": TEXT,
+            "acquisition": NUMBER,
+            "notes": (each(is_text), "a list of texts"),
+            "targets": or_null(sources),
+            **_HOLDER,
         },
+        "claimed": {"pick": next_or_open, **_HOLDER},
+        "released": {"pick": next_or_open},
+        "voided": {"told": told, "reason": TEXT},
         "late": {
-            "pick": (lambda i: is_whole(i) and i < asked, f"a number of the {asked} picks"),
+            "pick": number(lambda i: i < asked, f"a number of the {asked} picks"),
             "outcome": (lambda o: o in ("told", "failed", "retried", "deferred"), "what came"),
-            "token": (is_text, "text"),
+            "token": TEXT,
             **(returns if event.data.get("outcome") == "told" else {}),
         },
         "told": {
-            "pick": (maybe(one_open[0]), f"{one_open[1]}, or null"),
+            "pick": or_null(one_open),
             "sources": sources,
             **returns,
             "cost": (at_least(0.0), "a finite number >= 0"),
-            "seconds": _SECONDS,
-            "steps": _SECONDS,
-            "evaluation_steps": _SECONDS,
-            "policy": _POLICY,
-            "sha256": _MAYBE_TEXT,
-            "recipe": _MAYBE_TEXT,
-            "state": _POLICY,
-            "state_sha256": _MAYBE_TEXT,
-            "token": _MAYBE_TOKEN,
+            **dict.fromkeys(("seconds", "steps", "evaluation_steps"), _SECONDS),
+            **dict.fromkeys(("policy", "state"), _POLICY),
+            **dict.fromkeys(("sha256", "recipe", "state_sha256"), _MAYBE_TEXT),
+            "token": or_null(_TOKEN),
         },
         "failed": failure,
         "retried": failure,
         "deferred": failure,
         "reopened": {
-            "pick": (
+            "pick": number(
                 lambda i: any(failed.pick == i for failed in state.failures),
                 "the number of a failed pick",
             )
@@ -267,10 +227,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "stopped": {"reason": TEXT},
         "reported": {
             "episodes": COUNT,
-            "best_single": (
-                lambda i: is_whole(i) and i < len(state.rows),
-                f"the place of one of the {len(state.rows)} rows",
-            ),
+            "best_single": number(lambda i: i < rows, f"the place of one of the {rows} rows"),
         },
     }
     return table.get(event.kind, {})

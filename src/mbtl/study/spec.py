@@ -187,39 +187,31 @@ def is_record(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
-def is_selector(value: Any) -> bool:
-    """A record with a name."""
-    return isinstance(value, Mapping) and is_text(value.get("name"))
+def or_null(rule: Rule) -> Rule:
+    """A rule that null keeps, too."""
+    return maybe(rule[0]), f"{rule[1]}, or null"
 
 
 TEXT: Rule = (is_text, "text")
+RECORD: Rule = (is_record, "a record")
 COUNT: Rule = (at_least(1, is_whole), "a whole number of 1 or more")
 SEED: Rule = (is_seed, "a whole number >= 0")
-NUMBER: Rule = (maybe(is_number), "a finite number, or null")
+NUMBER: Rule = or_null((is_number, "a finite number"))
+FLAG: Rule = (lambda value: isinstance(value, bool), "true or false")
 
 _SPEC: dict[str, Rule] = {
     "budget": (is_whole, "a whole number"),
-    "selector": (is_selector, "a record with a name"),
-    "bounds": (maybe(lambda b: len(b) == 2 and all(map(is_number, b))), "two finite numbers"),
-    "theta": NUMBER,
-    "seed": SEED,
-    "trial": SEED,
-    "stop_value": NUMBER,
-    "cost_budget": NUMBER,
+    "selector": (lambda one: is_record(one) and is_text(one.get("name")), "a record with a name"),
+    "bounds": or_null((lambda b: len(b) == 2 and all(map(is_number, b)), "two finite numbers")),
+    "costs": or_null((each(is_number), "finite numbers")),
     "problem": TEXT,
-    "settings": (is_record, "a record"),
-    "costs": (maybe(each(is_number)), "finite numbers"),
-    "risk": (is_number, "a number"),
-    "eval_targets": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
-    "stop_gain": NUMBER,
-    "stop_confidence": (is_number, "a number"),
-    "stop_left": NUMBER,
-    "best_return": NUMBER,
-    "floor": NUMBER,
-    "any_training": (lambda value: isinstance(value, bool), "true or false"),
-    "steps": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
-    "unit": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
-    "target_steps": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
+    "settings": RECORD,
+    "any_training": FLAG,
+    **dict.fromkeys(("seed", "trial"), SEED),
+    **dict.fromkeys(("risk", "stop_confidence"), (is_number, "a number")),
+    **dict.fromkeys(("theta", "stop_value", "stop_gain", "stop_left"), NUMBER),
+    **dict.fromkeys(("cost_budget", "best_return", "floor"), NUMBER),
+    **dict.fromkeys(("eval_targets", "steps", "unit", "target_steps"), or_null(COUNT)),
 }
 
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from mbtl.arrays import Array, python_value
+from mbtl.arrays import python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
 from mbtl.files import read_arrays, read_json
 from mbtl.study.database import (
@@ -439,17 +439,7 @@ def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes, checksum
             f"event {seq} ({kind}) of the study is damaged or not ours: {error}; restore a copy of "
             "the study"
         ) from error
-    lean = {name: _lean(array) for name, array in packed.items()}
-    return Event(cast(Kind, kind), facts, lean, seq, when)
-
-
-def _lean(array: Array) -> Array:
-    """One number in place of a million that are the same, as where no deviation is known."""
-    if array.dtype.kind != "f" or array.size < 2:
-        return array
-    first = array.flat[0]
-    same = array == first if first == first else np.isnan(array)
-    return np.broadcast_to(first, array.shape) if same.all() else array
+    return Event(cast(Kind, kind), facts, packed, seq, when)
 
 
 def _text(event: Event) -> str:
