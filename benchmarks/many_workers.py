@@ -1,8 +1,7 @@
 """Many workers on one study: what they wait for, and what a large study takes to load.
 
 workers      64 workers on one PostgreSQL server, trainings that sleep for a second: how often a
-             pick was given twice, and which share of their time goes into ask, tell and training;
-             as the peer, each pick proposed only when it is asked for (`proposes_ahead = False`)
+             pick was given twice, and which share of their time goes into ask, tell and training
 utilisation  eight trainings at a time with log-normal durations: the share of the slots' time that
              trains, told as they come and, as the peer, in whole batches (deterministic=True)
 load         1,000,000 contexts: processor time and memory of `load_study`, per row
@@ -56,22 +55,21 @@ def said(pid: int, reader: int):
     return json.loads(answer)
 
 
-def workers(number: int, trainings: int, seconds: float, selector: str, *, ahead: bool) -> None:
+def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
     if reason := missing():
         print(f"workers: left out, {reason}")
         return
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 640})
     with Server() as server:
         settings = {
-            "budget": number * trainings, "bounds": (0.0, 1.0), "selector": selector,
-            "storage": server.url, "name": "many", "load_if_exists": True,
+            "budget": number * trainings, "objective": mbtl.Objective((0.0, 1.0)),
+            "strategy": selector, "storage": server.url, "name": "many", "load_if_exists": True,
         }  # fmt: skip
         pid, pipe = forked(lambda: mbtl.create_study(space, **settings).name)
         said(pid, pipe)
 
         def work():
             study = mbtl.load_study(server.url, "many")
-            study.proposes_ahead = ahead
             spent = {"ask": 0.0, "train": 0.0, "tell": 0.0, "beat": 0.0}
             picks, began, processor = [], time.perf_counter(), time.process_time()
 
@@ -105,9 +103,7 @@ def workers(number: int, trainings: int, seconds: float, selector: str, *, ahead
     train = sum(one["train"] for one in found) / whole
     cpu = sum(one["cpu"] for one in found) / number / len(given)
     print(
-        f"workers: {number} workers, selector {selector}, picks proposed "
-        f"{'for those who wait, too' if ahead else 'one by one'}, "
-        f"{len(given)} trainings of {seconds:g} s, "
+        f"workers: {number} workers, selector {selector}, {len(given)} trainings of {seconds:g} s, "
         f"{len(given) - len(set(given))} picks given twice; of the workers' time {train:.1%} "
         f"training, {shares['ask']:.1%} ask (their wait for the proposals of others with it), "
         f"{shares['tell']:.1%} tell, {shares['beat']:.1%} heartbeats; {len(given) / wall:.1f} "
@@ -227,8 +223,7 @@ def main() -> None:
     parts = arguments.parts.split(",")
     if "workers" in parts:
         for number in map(int, arguments.workers.split(",")):
-            for ahead in (True, False):
-                workers(number, arguments.trainings, 1.0, arguments.selector, ahead=ahead)
+            workers(number, arguments.trainings, 1.0, arguments.selector)
     if "utilisation" in parts:
         for spread in (0.5, 1.0):
             utilisation(8, 80, 1.0, spread)

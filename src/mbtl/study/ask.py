@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,14 +17,12 @@ from mbtl.selectors.base import Exhausted, Proposal, open_candidates
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
-from mbtl.study.leases import PROPOSING, Watch, asker, new_token
+from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.trainers.contract import checked_targets
 
-_LONGEST = 5.0
-"""Seconds after which no more is proposed ahead: others wait for what is."""
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
 LEAST_TARGETS = 2
@@ -34,28 +31,19 @@ LEAST_UNIT = 1e-6
 """Units that are no training any more."""
 
 
-def claim(
-    state: StudyState,
-    watch: Watch,
-    seconds: float | None,
-    worker: str,
-    *,
-    proposed: bool = True,
-) -> Event | None:
+def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -> Event | None:
     """The event that gives a worker a pick: one that nobody works on, or the next one.
 
     Where nothing more is trained it is the release of a pick whose worker is silent.
 
-    The source of the next one may have been proposed ahead. Else it is proposed after that
-    (`propose`), so that nobody else looks for it meanwhile. None: somebody else does; ask again in
-    a moment.
+    The next one is proposed after that (`propose`), so that nobody else looks for it meanwhile.
+    None: somebody else does; ask again in a moment.
 
     Args:
         state: of the study.
         watch: knows whose lease is stale.
         seconds: that the lease is to last; None: for ever.
         worker: who asks.
-        proposed: take what was proposed ahead.
 
     Raises:
         StudyFinished: nothing can be asked.
@@ -73,9 +61,6 @@ def claim(
         held = len(state.open_picks)
         waiting = f"; {held} picks are still under way" if held else ""
         raise StudyFinished(f"the study is finished: {reason}{waiting}")
-    if proposed and state.ahead and _is_affordable(state, state.ahead[0]):
-        facts = {"pick": len(state.picks), **state.ahead[0]}
-        return Event("asked", {**facts, "seconds": seconds, **holder})
     if state.proposing is not None and not watch.is_stale(state.proposing):
         return None
     return Event("claimed", {"pick": len(state.picks), "seconds": PROPOSING, **holder})
@@ -143,34 +128,9 @@ def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
     return pick.work not in known
 
 
-def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
-    """True where a pick of these facts may be asked for at this moment."""
-    pick, most = state.planned(facts), state.spec.cost_budget
-    if pick.price > state.units_left + LEAST_UNIT or not is_open(state, facts):
-        return False
-    if state.spec.steps is not None and state.expected_steps(pick) > _steps_left(state):
-        return False
-    left = np.inf if most is None else most * (1.0 + 1e-9) - state.committed
-    return state.spec.costs is None or state.usual_cost(pick) <= left
-
-
 def _steps_left(state: StudyState) -> float:
     """Environment steps that are left of the budget; infinite where they are not counted."""
     return np.inf if state.spec.steps is None else state.spec.steps - state.bill().total
-
-
-def ahead(state: StudyState, watch: Watch, worker: str) -> int:
-    """How many picks to propose beside the next one: one for each other worker that waits for it.
-
-    They know then what they would have known at best. Where a prediction may end the study there
-    is none, since that looks at the newest rows.
-    """
-    spec = state.spec
-    if spec.stop_gain is not None or spec.stop_left is not None:
-        return 0
-    busy = [pick.worker for pick in state.open_picks.values() if pick.worker is not None]
-    waiting = watch.askers() - {asker(one) for one in (worker, *busy)}
-    return min(len(waiting), int(state.units_left + LEAST_UNIT) - 1)
 
 
 def left_alone(state: StudyState, watch: Watch) -> list[int]:
@@ -221,42 +181,16 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-def propose(state: StudyState, strategy: Selector, more: int = 0) -> dict[str, Any] | str:
-    """The facts of the next pick, or why one more training is not worth it.
+def propose(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
+    """The facts of the next pick, or why there is none until something is told.
 
     Args:
         state: of the study, a copy: others may tell meanwhile.
         strategy: proposes.
-        more: picks to propose ahead, each as if those before it were under way.
-
-    Raises:
-        StudyFinished: nothing is left to propose.
-        InvalidInput: the strategy breaks its contract.
-    """
-    number, first = len(state.picks), _proposed(state, strategy)
-    if isinstance(first, str):
-        return first
-    facts, following, began = first, list[dict[str, Any]](), time.monotonic()
-    for _ in range(more):
-        if time.monotonic() - began > _LONGEST:
-            break
-        state = state.after(facts)
-        try:
-            found = _proposed(state, strategy)
-        except StudyFinished:
-            break
-        if isinstance(found, str):
-            break
-        facts = found
-        following.append(facts)
-    return {"pick": number, **first, **({"ahead": following} if following else {})}
-
-
-def _proposed(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
-    """The facts of one pick, but for the number; or why there is none until something is told.
 
     Raises:
         StudyFinished: no context is left.
+        InvalidInput: the strategy breaks its contract.
     """
     spec, problem, known = state.spec, state.problem(), state.history()
     trained = sum(pick.price > 0.0 for pick in state.picks)
@@ -284,9 +218,10 @@ def _proposed(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
 
 
 def _facts(state: StudyState, proposal: Proposal) -> dict[str, Any]:
-    """As they are logged, but for the number."""
+    """As they are logged."""
     spec, sources = state.spec, proposal.contexts
     facts: dict[str, Any] = {
+        "pick": len(state.picks),
         "sources": list(sources),
         "start": None if proposal.start is None else state.rows[proposal.start].event,
         "length": None if proposal.length is None else float(proposal.length),

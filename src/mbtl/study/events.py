@@ -5,8 +5,7 @@ extended  the budget was raised
 equipped  a run brought its trainer: recipe and format of the policies, own code, and which
           changes of that were accepted
 claimed   a worker holds a pick from now on: one that is open, or the next, which it proposes
-asked     the strategy proposed the pick that was claimed, and perhaps some ahead; or a worker holds
-          the first of those from now on
+asked     the strategy proposed the pick that was claimed
 released  a pick was given back untrained
 told      a transfer row arrived, or further entries of one
 late      a result came of a pick that is somebody else's by now, or answered; it changes nothing

@@ -8,7 +8,6 @@ and no clocks of workers are compared.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import socket
 import uuid
 from collections.abc import Callable, Iterable, Mapping
@@ -22,7 +21,6 @@ from mbtl.errors import StudyError, few
 from mbtl.study.events import Beat
 from mbtl.study.storage import EventLog
 
-_ASKER = "asker-"
 PROPOSING = 60.0
 """Seconds in which a selector answers, or the next asker takes the proposal over."""
 
@@ -73,14 +71,6 @@ class Watch:
         """The last heartbeat of a lease; None: it gave none."""
         return self._beats.get(token)
 
-    def askers(self) -> set[str]:
-        """Tokens of the workers that wait for a pick (`asker`)."""
-        return {
-            token
-            for token, beat in self._beats.items()
-            if token.startswith(_ASKER) and beat.expires > self._now
-        }
-
     @cached_property
     def _beats(self) -> Mapping[str, Beat]:
         return self._log.beats()
@@ -105,11 +95,6 @@ def check_holds(worker: str, leases: Iterable[Lease]) -> None:
 def new_token() -> str:
     """Never given out before."""
     return uuid.uuid4().hex[:12]
-
-
-def asker(worker: str) -> str:
-    """In place of the token of a lease, for heartbeats while a worker waits for one."""
-    return _ASKER + hashlib.sha256(worker.encode()).hexdigest()[:12]
 
 
 def new_worker() -> str:

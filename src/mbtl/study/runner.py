@@ -205,7 +205,6 @@ def run(
     """
     started, study.stopping = time.monotonic(), None
     may_begin = may_begin or (lambda: True)
-    study.proposes_ahead = not workers.deterministic
     try:
         with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
             if pooled is not None:

@@ -42,8 +42,6 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     proposing: Lease | None = None
     """Of the worker that finds the source of the next pick; None: nobody does."""
-    ahead: list[Mapping[str, Any]] = field(default_factory=list)
-    """Facts of picks to come, proposed together with one before them, in order."""
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
@@ -69,8 +67,6 @@ class StudyState:
     """Environment steps of the evaluations whose steps are known, and on how many targets."""
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
-    _ahead_age: int = field(default=0, repr=False)
-    """How many more answers the picks ahead may miss."""
     _performance: Array | None = field(default=None, repr=False)
     _room: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     """Its memory, with place for rows to come."""
@@ -92,14 +88,6 @@ class StudyState:
         new = copy(self)
         for name in ("picks", "open_picks", "rows", "failures", "_told_by"):
             setattr(new, name, copy(getattr(self, name)))
-        return new
-
-    def after(self, facts: Mapping[str, Any]) -> StudyState:
-        """A copy in which a pick of these facts is under way."""
-        new, pick = self.copied(), self.planned(facts)
-        new.picks.append(pick)
-        new.open_picks[pick.number] = pick
-        new._history = None
         return new
 
     def problem(self) -> SelectionProblem:
@@ -393,15 +381,8 @@ class StudyState:
         self.stopped = None
 
     def _asked(self, event: Event) -> None:
-        data = event.data
         self.proposing = None
-        if data.get("ahead"):
-            self.ahead, self._ahead_age = list(data["ahead"]), len(data["ahead"])
-        elif self.ahead and same_work(self.ahead[0], data):
-            self.ahead = self.ahead[1:]
-        else:  # proposed with newer rows
-            self.ahead = []
-        pick = self.planned(data, event.time).leased(_lease_of(event))
+        pick = self.planned(event.data, event.time).leased(_lease_of(event))
         self.picks.append(pick)
         self.open_picks[pick.number] = pick
 
@@ -503,7 +484,6 @@ class StudyState:
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
         row = self.rows.pop(place)
-        self.ahead = []
         self.fresh = self.stopped = self._routing = None
         if row.pick is not None:  # as a training that gave nothing: it may be tried again
             self.failures.append(Failure(row.source, row.pick, event.data["reason"]))
@@ -544,9 +524,6 @@ class StudyState:
         self.picks[number] = replace(pick, retries=pick.retries + 1)
 
     def _close(self, number: int | None, token: str) -> None:
-        self._ahead_age -= 1
-        if self._ahead_age < 0:
-            self.ahead = []
         if number is not None:
             self.open_picks.pop(number, None)
             self.deferred.pop(number, None)
@@ -554,17 +531,11 @@ class StudyState:
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]
-        self.ahead = []
         self.proposing = None
 
     def _reported(self, event: Event) -> None:
         arrays = event.arrays
         self.fresh = FreshReturns(arrays["served"], arrays["alone"], event.data["best_single"])
-
-
-def same_work(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether the facts of two picks ask for the same."""
-    return all(one.get(key) == other.get(key) for key in ("sources", "start", "length", "targets"))
 
 
 def _lease_of(event: Event) -> Lease:

@@ -35,7 +35,7 @@ from mbtl.study.closing_report import value_of
 from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
-from mbtl.study.leases import Lease, Presence, Watch, asker, check_holds, new_worker
+from mbtl.study.leases import Lease, Presence, Watch, check_holds, new_worker
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
@@ -107,8 +107,6 @@ class Study:
         untold: number of the pick -> what is trained, not saved, and not evaluated so far.
         stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
         selector: the strategy, which proposes trainings.
-        proposes_ahead: propose picks for other workers that wait, too; False: each pick knows all
-            rows that were told before it.
     """
 
     def __init__(
@@ -139,7 +137,6 @@ class Study:
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
         self.selector = selector
-        self.proposes_ahead = True
         self._queued = 0
         self.refresh()
 
@@ -819,10 +816,10 @@ class Study:
 
     def _ask(self, lease: float | None) -> Pick:
         turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
-        watch, watched, heard = self.watch(), time.monotonic(), 0.0
+        watch, watched = self.watch(), time.monotonic()
 
         def wanted(state: StudyState) -> Event | None:
-            return ask.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
+            return ask.claim(state, watch, lease, self.worker)
 
         while True:
             if time.monotonic() - watched > _WATCH:
@@ -834,17 +831,13 @@ class Study:
             except Conflict:
                 retry.wait()
                 continue
-            if claim is None:  # somebody proposes just now, and the next one for us, too
-                if self.proposes_ahead and time.monotonic() > heard:
-                    self._log.beat(asker(self.worker), 3.0 * _WATCH)
-                    heard = time.monotonic() + _WATCH
+            if claim is None:  # somebody proposes just now
                 turn.wait()
                 continue
             if claim.kind == "released":
                 continue
             number = claim.data["pick"]
-            is_next = claim.kind == "claimed" and number == following
-            if is_next and not self._propose(claim.data["token"], lease):
+            if number == following and not self._propose(claim.data["token"], lease):
                 continue
             given = self._pick(self._state.picks[number])
             if given.token == claim.data["token"]:
@@ -865,9 +858,7 @@ class Study:
                         return False
                     known = len(state.rows), len(state.failures)
                     moment = state.copied()
-                    ahead = self.proposes_ahead
-                    more = ask.ahead(state, self.watch(), self.worker) if ahead else 0
-                found = ask.propose(moment, self.selector, more)  # others may tell meanwhile
+                found = ask.propose(moment, self.selector)  # others may tell meanwhile
                 holder = {"worker": self.worker, "token": token, "seconds": lease}
 
                 def settled(
