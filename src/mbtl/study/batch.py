@@ -13,7 +13,7 @@ from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
@@ -96,12 +96,7 @@ class Batches:
             TrainingFailed: failures end the run. What was under way is told.
         """
         waiting: dict[int, Pick] = {}
-        self._settle(waiting, self._outcomes(size, ask, waiting, together=together))
-
-    def _settle(
-        self, waiting: dict[int, Pick], outcomes: Generator[tuple[Pick, Outcome | Trouble | None]]
-    ) -> None:
-        """Record what comes; give the picks back that are in `waiting` at the end."""
+        outcomes = self._outcomes(size, ask, waiting, together=together)
         end: Exception | None = None
         self._failed = None
         self._ending = False
@@ -164,20 +159,15 @@ class Batches:
 
         While nothing has succeeded and something failed, nothing new is begun.
         """
-        flights = None
-        if self.executor is not None:
-            flights = Flights(self.executor, self.timeout, self.retries, self._again)
+        flights = Flights(self)
         try:
             while True:
-                while len(flights or ()) < size and not self._ending and not self._in_doubt:
+                while len(flights) < size and not self._ending and not self._in_doubt:
                     pick = ask()
                     if pick is None:
                         break
                     waiting[pick.number] = pick
                     self._announce_pick(pick)
-                    if flights is None:
-                        yield self._perform_here(pick)
-                        continue
                     flights.begin(pick, self._job(pick))
                     if together and self._is_whole(size):
                         break
@@ -185,8 +175,7 @@ class Batches:
                     return
                 yield from self._batch(flights) if together else flights.landed()
         finally:
-            if flights is not None:
-                flights.cancel()
+            flights.cancel()
 
     def _batch(self, flights: Flights) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
         """What all that are under way gave, in pick order; also where the executor breaks then."""
@@ -218,36 +207,24 @@ class Batches:
         alone = any(len(state.picks[one.pick].sources) == 1 for one in failures)
         return alone or bool(state.deferred)
 
-    def _perform_here(self, pick: Pick) -> tuple[Pick, Outcome | Trouble | None]:
-        tries = 0
-        while True:
-            try:
-                outcome = perform(
-                    self._job(pick),
-                    partial(self._progressed, pick),
-                    partial(self._keep, pick),
-                    partial(self._announce, "on_evaluation", pick),
-                    partial(self._give_up, pick),
-                )
-            except _Stopped:
-                return pick, None
-            except _Pruned as wrapped:
-                return pick, Trouble("training", str(wrapped.error), "", wrapped.error)
-            tries += 1
-            if pick.number in self._given_up:
-                return pick, None
-            if not may_try_again(outcome) or tries > self.retries:
-                return pick, outcome
-            assert isinstance(outcome, Trouble)
-            again = self.study.begin_again(
-                pick, outcome.reason, traceback=outcome.traceback, steps=outcome.steps
+    def perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
+        """Do it in this thread; None: it is somebody else's by now, or was given up."""
+        try:
+            outcome = perform(
+                job,
+                partial(self._progressed, pick),
+                partial(self._keep, pick),
+                partial(self._announce, "on_evaluation", pick),
+                partial(self._give_up, pick),
             )
-            if again is None:
-                return pick, None
-            pick = again
+        except _Stopped:
+            return None
+        except _Pruned as wrapped:
+            return Trouble("training", str(wrapped.error), "", wrapped.error)
+        return None if pick.number in self._given_up else outcome
 
-    def _again(self, pick: Pick, trouble: Trouble) -> tuple[Pick, Job] | None:
-        """Another try of a training that failed, with another seed."""
+    def again(self, pick: Pick, trouble: Trouble) -> tuple[Pick, Job] | None:
+        """Another try, with another seed; None: it is somebody else's by now."""
         again = self.study.begin_again(
             pick, trouble.reason, traceback=trouble.traceback, steps=trouble.steps
         )
@@ -431,12 +408,8 @@ class _CallbackError(BaseException):
         self.error = error
 
 
-class _Pruned(BaseException):
+class _Pruned(_CallbackError):
     """Carries a callback's wish to end a training past the trainer."""
-
-    def __init__(self, error: TrainingPruned) -> None:
-        super().__init__(error)
-        self.error = error
 
 
 class _Stopped(BaseException):
@@ -471,7 +444,7 @@ def places_of(study: Study, pick: Pick) -> list[str]:
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]
 
 
-# ---- trainings in an executor --------------------------------------------------------------------
+# ---- trainings under way -------------------------------------------------------------------------
 
 
 @dataclass
@@ -494,26 +467,18 @@ class _Flight:
 
 
 class Flights:
-    """Trainings that an executor is at.
+    """Trainings that an executor is at, or that were done in this thread as they were begun.
+
+    One that failed is begun again as often as the run says, each time with another seed; one whose
+    worker dies once, as it was, since that may be nobody's fault.
 
     Args:
-        executor: does them.
-        timeout: seconds for each, from when it is handed over; None: no limit.
-        retries: so often one that failed is begun again. One whose worker dies is begun again as
-            it was, once, since that may be nobody's fault.
-        again: gives the pick and the job of another try; None: they are somebody else's by now.
+        batches: what begins them, and knows where they are done.
     """
 
-    def __init__(
-        self,
-        executor: Executor,
-        timeout: float | None,
-        retries: int,
-        again: Callable[[Pick, Trouble], tuple[Pick, Job] | None],
-    ) -> None:
-        self._executor, self._again = executor, again
-        self._timeout = timeout
-        self._retries = retries
+    def __init__(self, batches: Batches) -> None:
+        self._batches, self._executor = batches, batches.executor
+        self._timeout, self._retries = batches.timeout, batches.retries
         self._flights: dict[Future[Any], _Flight] = {}
 
     def __len__(self) -> int:
@@ -540,9 +505,8 @@ class Flights:
                 flight.died = True
                 self._send(flight)
                 continue
-            if may_try_again(outcome) and flight.tries <= self._retries:
-                assert isinstance(outcome, Trouble)
-                found = self._again(flight.pick, outcome)
+            if _may_try_again(outcome) and flight.tries <= self._retries:
+                found = self._batches.again(flight.pick, outcome)
                 if found is None:
                     yield flight.pick, None
                     continue
@@ -567,10 +531,15 @@ class Flights:
             future.cancel()
 
     def _send(self, flight: _Flight) -> None:
-        try:
-            self._flights[self._executor.submit(perform_elsewhere, flight.job)] = flight
-        except BrokenExecutor as error:
-            raise StudyError(_DIED) from error
+        if self._executor is None:
+            future: Future[Any] = Future()
+            future.set_result(self._batches.perform_here(flight.pick, flight.job))
+        else:
+            try:
+                future = self._executor.submit(perform_elsewhere, flight.job)
+            except BrokenExecutor as error:
+                raise StudyError(_DIED) from error
+        self._flights[future] = flight
 
     def _patience(self) -> float | None:
         if self._timeout is None:
@@ -578,10 +547,10 @@ class Flights:
         first = min(flight.began for flight in self._flights.values())
         return max(0.0, first + self._timeout + _LATE - time.monotonic()) + 0.01
 
-    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble, bool]:
+    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble | None, bool]:
         """What it gave, and whether its worker has died."""
         try:
-            outcome: Outcome | Trouble = brought_back(future)
+            outcome: Outcome | Trouble | None = brought_back(future)
         except CancelledError:
             return Trouble("training", "it was cancelled", ""), False
         except StudyError as error:
@@ -594,7 +563,7 @@ class Flights:
         return outcome, False
 
 
-def may_try_again(outcome: Outcome | Trouble) -> bool:
+def _may_try_again(outcome: Outcome | Trouble | None) -> TypeGuard[Trouble]:
     """True for a training that gave no policy, for a cause that may be gone the next time."""
     return (
         isinstance(outcome, Trouble)
