@@ -123,7 +123,7 @@ def test_a_budget_of_units_may_exceed_the_contexts_but_not_of_a_selector():
     assert study.spec.budget == 5 * N
     with pytest.raises(InvalidInput, match=r"number of contexts \(8\), got 9"):
         study_of("mbtl", budget=N + 1)
-    with pytest.raises(InvalidInput, match="from 2 up to 8 trainings"):
+    with pytest.raises(InvalidInput, match=r"of 8 contexts\), got 9 trainings"):
         study_of("mbtl", budget=2).extend(9)
 
 

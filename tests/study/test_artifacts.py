@@ -17,7 +17,7 @@ from line_problem import SPACE, TRAINER, evaluate, train
 import mbtl
 from flat import created
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
+from mbtl.study.artifacts import FolderStore, RemoteStore, policy_store
 from mbtl.testing.artifacts import ArtifactStoreContract
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
@@ -176,17 +176,18 @@ def test_a_checkpoint_of_another_recipe_is_none(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "beside", "expected"),
+    ("given", "address", "expected"),
     [
         (None, None, None),
-        (None, Path("/data"), FolderStore(Path("/data"))),
-        ("/kept", Path("/data"), FolderStore(Path("/kept"))),
+        (None, "postgresql://host/studies", None),
+        (None, "sqlite:////data/s.db", FolderStore(Path("/data"))),
+        ("/kept", "sqlite:////data/s.db", FolderStore(Path("/kept"))),
         ("file:///a%20b", None, FolderStore(Path("/a b"))),
         ("s3://bucket/studies/", None, RemoteStore("s3://bucket/studies")),
     ],
 )
-def test_where_a_store_is(given, beside, expected):
-    assert store_at(given, beside) == expected
+def test_where_a_store_is(given, address, expected):
+    assert policy_store(address, given) == expected
 
 
 def test_a_store_that_cannot_be_reached_is_named_and_spends_nothing(tmp_path):

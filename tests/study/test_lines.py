@@ -60,9 +60,9 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
 def test_a_frame_has_a_line_per_training_and_a_column_per_axis():
     pandas = pytest.importorskip("pandas")
     study = study_of()
-    assert study.to_frame().empty
+    assert study.trainings.to_frame().empty
     study.tell(study.ask(), np.zeros(N))
-    frame = study.to_frame()
+    frame = study.trainings.to_frame()
     assert isinstance(frame, pandas.DataFrame)
     assert frame["context_mass"].tolist() == [
         quick_problem.SPACE.context(frame["source"][0])["mass"]
@@ -73,7 +73,7 @@ def test_a_frame_has_a_line_per_training_and_a_column_per_axis():
 def test_without_pandas_a_frame_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
-        study_of().to_frame()
+        study_of().trainings.to_frame()
 
 
 def test_a_run_says_what_it_gave():

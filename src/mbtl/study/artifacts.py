@@ -254,18 +254,20 @@ def spools_of(database: Path | None) -> tuple[FolderStore, ...]:
     return tuple(FolderStore(root) for root in (*beside, Path(home, "mbtl", "waiting")))
 
 
-def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore | None:
-    """The store of a study.
+def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:
+    """What keeps the policies of a study.
 
     Args:
-        artifacts: a folder or a URL, given by the user; None: beside the database.
-        beside: the folder of the database; None: it is no file.
+        address: of the storage; None: the study is in memory.
+        artifacts: a folder or a URL, given by the user; None: next to the database, where that is a
+            file.
 
     Raises:
         InvalidInput: an empty text, or a path that cannot be.
     """
     if artifacts is None:
-        return None if beside is None else FolderStore(beside.absolute())
+        file = None if address is None else database_file(address)
+        return None if file is None else FolderStore(file.parent)
     text = str(artifacts)
     if not text:
         raise InvalidInput("artifacts must be a folder or a URL, got an empty text")
@@ -276,17 +278,6 @@ def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore
     if parts.scheme == "file":
         return FolderStore(Path(unquote(parts.path)).absolute())
     return RemoteStore(text.rstrip("/"))
-
-
-def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:
-    """What keeps the policies.
-
-    Args:
-        address: of the storage; None: the study is in memory.
-        artifacts: given by the user; None: next to the database, where that is a file.
-    """
-    file = None if address is None else database_file(address)
-    return store_at(artifacts, None if file is None else file.parent)
 
 
 def _digest(folder: Path) -> str:

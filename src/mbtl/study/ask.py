@@ -119,13 +119,11 @@ def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
     if start is not None and state.place_of(start) < 0:
         return False
     pick = state.planned(facts)
-    if pick.is_specialist:
-        return bool(state.history().specialists().open_mask(state.spec.space.n)[pick.source])
-    dead = [state.picks[failure.pick] for failure in state.failures]
-    known = {one.work for one in (*state.open_picks.values(), *dead)}
     if pick.length:
-        known |= {(row.sources, row.start, row.length, None) for row in state.rows}
-    return pick.work not in known
+        return state.training_of(pick) not in state.history().asked
+    others = (*state.open_picks.values(), *(state.picks[one.pick] for one in state.failures))
+    asked = {(one.start, one.targets) for one in others if not one.length}
+    return (pick.start, pick.targets) not in asked
 
 
 def _steps_left(state: StudyState) -> float:
@@ -154,31 +152,23 @@ def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = Tru
 def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
-    if spec.stop_value is not None and state.rows:
+    if state.rows and (spec.stop_value, spec.stop_left) != (None, None):
         now = state.routing().value
         least = now.at_least(spec.stop_confidence)
-        if least >= spec.stop_value:
+        if spec.stop_value is not None and least >= spec.stop_value:
             sure = f" ({least:.4f} or more, surely)" if now.error else ""
             return f"V = {now.value:.4f}{sure} reaches the level {spec.stop_value:g}"
-    if (reached := _nothing_left(state, spec)) is not None:
-        return reached
+        if spec.stop_left is not None and spec.best_return is not None:
+            most = float(state.bounds().normalise(spec.best_return))
+            if most - least < spec.stop_left:
+                within = f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest"
+                return f"{within} there can be, {most:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
     most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)
-    if spec.costs is not None and given_back(state) and state.committed > most:
+    if spec.costs is not None and state.committed > most and given_back(state):
         return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
-
-
-def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
-    """That V is as large as it can be, where the study knows how large that is."""
-    if spec.stop_left is None or spec.best_return is None or not state.rows:
-        return None
-    now = state.routing().value
-    most = float(state.bounds().normalise(spec.best_return))
-    if most - now.at_least(spec.stop_confidence) >= spec.stop_left:
-        return None
-    return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
 def propose(state: StudyState, strategy: Selector) -> dict[str, Any] | str:

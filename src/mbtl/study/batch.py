@@ -247,7 +247,7 @@ class Batches:
             raise _Stopped
 
     def _job(self, pick: Pick) -> Job:
-        study, places = self.study, places_of(self.study, pick)
+        study = self.study
         targets = range(study.space.n) if pick.targets is None else pick.targets
         start, state = self._begun_with(pick)
         return Job(
@@ -257,8 +257,7 @@ class Batches:
             [study.space.context(target) for target in targets],
             study.evaluation_seeds(pick.targets),
             study.artifacts,
-            places[-1],
-            tuple(places[:-1]),
+            places_of(study, pick),
             study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
             spools_of(study.database) if study.is_durable else (),

@@ -15,7 +15,7 @@ import numpy as np
 
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import MALFORMED, is_local
-from mbtl.plain import LARGEST
+from mbtl.plain import LARGEST, short
 from mbtl.study.events import Event, Kind
 from mbtl.study.spec import (
     COUNT,
@@ -30,7 +30,6 @@ from mbtl.study.spec import (
     is_text,
     is_whole,
     or_null,
-    short,
 )
 from mbtl.study.state import StudyState
 

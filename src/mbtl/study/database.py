@@ -17,7 +17,7 @@ from mbtl.files import from_home
 from mbtl.plain import short
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine, Table
+    from sqlalchemy import URL, Connection, Engine, Table
     from sqlalchemy.exc import DBAPIError
 
 _logger = getLogger(__name__)
@@ -100,33 +100,30 @@ def as_url(url: str | Path) -> str:
     return URL.create("sqlite", database=str(from_home(text))).render_as_string(hide_password=False)
 
 
-def fixed_url(storage: str | Path) -> str:
-    """The storage as a URL that stays right in whatever folder the process works."""
+def _parsed(address: str) -> URL | None:
+    """A URL taken apart; None: it is none, which opening it says in our words."""
     from sqlalchemy import make_url
     from sqlalchemy.exc import ArgumentError
 
+    with suppress(ArgumentError):
+        return make_url(address)
+    return None
+
+
+def fixed_url(storage: str | Path) -> str:
+    """The storage as a URL that stays right in whatever folder the process works."""
     address = as_url(storage)
-    try:
-        url = make_url(address)
-    except ArgumentError:  # opening it says so in our words
-        return address
-    file = database_file(address)
-    if file is None or str(url.database).startswith("file:"):
+    url, file = _parsed(address), database_file(address)
+    if url is None or file is None or str(url.database).startswith("file:"):
         return address
     return url.set(database=str(file)).render_as_string(hide_password=False)
 
 
 def database_file(address: str) -> Path | None:
     """The absolute path of the file behind a URL; None for a server and for memory."""
-    from sqlalchemy import make_url
-    from sqlalchemy.exc import ArgumentError
-
-    try:
-        url = make_url(address)
-    except ArgumentError:
-        return None
-    name = url.database or ""
-    if url.get_backend_name() not in _FILES or ":memory:" in name or not name:
+    url = _parsed(address)
+    name = (url and url.database) or ""
+    if url is None or url.get_backend_name() not in _FILES or ":memory:" in name or not name:
         return None
     if name.startswith("file:"):  # SQLite's own way to open a file, e.g. read-only
         if url.query.get("mode") == "memory":
@@ -138,13 +135,8 @@ def database_file(address: str) -> Path | None:
 
 def shown(url: str) -> str:
     """A URL as logs and people may see it: without its password."""
-    from sqlalchemy import make_url
-    from sqlalchemy.exc import ArgumentError
-
-    try:
-        return make_url(url).render_as_string(hide_password=True)
-    except ArgumentError:
-        return url
+    parsed = _parsed(url)
+    return url if parsed is None else parsed.render_as_string(hide_password=True)
 
 
 def clock(engine: Engine) -> Any:
@@ -277,12 +269,6 @@ def _check_table(connection: Connection, table: Table, url: str) -> None:
     if not inspect(connection).has_table(table.name):
         raise StorageError(
             f"{shown(url)} is a database without mbtl studies; give the path of a study"
-        )
-    known = {column["name"] for column in inspect(connection).get_columns(table.name)}
-    if not {column.name for column in table.c} <= known:
-        raise StorageError(
-            f"{shown(url)} is of an older mbtl, whose entries have no checksums; open it with "
-            "that, or start a new study elsewhere"
         )
 
 

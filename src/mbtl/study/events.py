@@ -27,22 +27,9 @@ from typing import Any, Literal, get_args
 from mbtl.arrays import Array
 
 Kind = Literal[
-    "created",
-    "extended",
-    "equipped",
-    "asked",
-    "claimed",
-    "released",
-    "told",
-    "late",
-    "voided",
-    "deferred",
-    "failed",
-    "retried",
-    "reopened",
-    "stopped",
-    "reported",
-]
+    "created", "extended", "equipped", "asked", "claimed", "released", "told", "late", "voided",
+    "deferred", "failed", "retried", "reopened", "stopped", "reported",
+]  # fmt: skip
 KINDS: tuple[str, ...] = get_args(Kind)
 
 

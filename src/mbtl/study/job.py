@@ -72,8 +72,8 @@ class Job:
         targets: to evaluate on.
         evaluation_seeds: of the episodes, one per target.
         store: keeps the policy; None: it cannot be kept.
-        place: of the policy in the store; nobody else writes there.
-        former: places where others may have left the policy, or an unfinished training of it.
+        places: in the store, where others may have left the policy, or an unfinished training of
+            it; the last one is where it is to be written, and nobody else writes there.
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
         spools: where the policy waits while the store cannot be written, best first.
@@ -94,8 +94,7 @@ class Job:
     targets: Sequence[Context]
     evaluation_seeds: Sequence[int]
     store: ArtifactStore | None
-    place: str = ""
-    former: tuple[str, ...] = ()
+    places: Sequence[str] = ("",)
     kept: Kept | None = None
     rehearse: bool = False
     spools: tuple[FolderStore, ...] = ()
@@ -107,6 +106,11 @@ class Job:
     keeps_state: bool = False
     counts_steps: bool = False
     untrained: bool = False
+
+    @property
+    def place(self) -> str:
+        """Where the policy is to be written."""
+        return self.places[-1]
 
 
 @dataclass(frozen=True)
@@ -198,8 +202,11 @@ def perform(
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
             stage = "evaluation"
             if job.rehearse and len(job.targets) > 2:
-                ends, seeds = job.targets[:: len(job.targets) - 1], job.evaluation_seeds
-                evaluated(job.trainer, kept.policy, ends, seeds[:: len(seeds) - 1])
+                last = len(job.targets) - 1
+                seeds = job.evaluation_seeds[::last]
+                _evaluated(
+                    replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
+                )
             returns, played = _evaluated(job, kept.policy)
     except (TrainingPruned, TookTooLong) as error:
         return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
@@ -264,8 +271,8 @@ def rehearse(
     """
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
-            trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)), "policies/a/trial",
-            rehearse=True, timeout=timeout, untrained=True,
+            trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)),
+            places=["policies/a/trial"], rehearse=True, timeout=timeout, untrained=True,
         )  # fmt: skip
         outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))
     return None if isinstance(outcome, Outcome) else outcome
@@ -273,22 +280,15 @@ def rehearse(
 
 def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     """Checked returns on all targets and, where they are counted, the steps of the episodes."""
-    trainer = job.trainer
-    if not (job.counts_steps and isinstance(trainer, CountingTrainer)):
-        return evaluated(trainer, policy, job.targets, job.evaluation_seeds), None
-    targets = list(job.targets)
-    returns, lasted = trainer.evaluate_steps(policy, targets, list(job.evaluation_seeds))
+    trainer, targets, seeds = job.trainer, list(job.targets), list(job.evaluation_seeds)
+    steps = None
+    if job.counts_steps and isinstance(trainer, CountingTrainer):
+        returns, lasted = trainer.evaluate_steps(policy, targets, seeds)
+        steps = float(np.sum(lasted))
+    else:
+        returns = trainer.evaluate(policy, targets, seeds)
     checked = checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
-    steps = float(np.sum(lasted))
     return checked, steps if steps == steps else None
-
-
-def evaluated(
-    trainer: Trainer, policy: Any, targets: Sequence[Context], seeds: Sequence[int]
-) -> Array:
-    """Checked returns (n_targets, n_episodes) of a policy."""
-    returns = trainer.evaluate(policy, list(targets), list(seeds))
-    return checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
 
 
 def _left(job: Job) -> Artifact | None:
@@ -321,7 +321,7 @@ def _left(job: Job) -> Artifact | None:
 def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
     """The policy of this training in one store."""
     made = equipment_of(job.trainer)
-    for place in (job.place, *reversed(job.former)):
+    for place in reversed(job.places):
         receipt = store.receipt(place)
         if (
             receipt is not None
@@ -453,7 +453,7 @@ def _partials(job: Job) -> list[Path]:
     if not (resumes or (job.keeps_state and "state" in takes)):
         return []
     made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
-    places = [f"{place}.{made}" for place in (job.place, *reversed(job.former))]
+    places = [f"{place}.{made}" for place in reversed(job.places)]
     return [store.partial(place) or _scratch() / place.replace("/", "-") for place in places]
 
 

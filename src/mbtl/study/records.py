@@ -118,11 +118,6 @@ class PickRecord:
         return len(self.sources) == 1 and self.start is None and self.length == 1.0
 
     @property
-    def work(self) -> tuple[Any, ...]:
-        """What is to be done, for comparisons."""
-        return self.sources, self.start, self.length, self.targets if not self.length else None
-
-    @property
     def worker(self) -> str | None:
         """Name of the holder; None: nobody holds it."""
         return None if self.lease is None else self.lease.worker
@@ -133,6 +128,13 @@ class PickRecord:
         tokens = (*self.tokens, lease.token) if lease and new else self.tokens
         last = self.last_worker if lease is None else lease.worker
         return replace(self, lease=lease, tokens=tokens, answered_by=None, last_worker=last)
+
+
+LOGGED = (
+    "pick", "cost", "seconds", "policy", "sha256", "recipe", "steps", "state", "state_sha256",
+    "evaluation_steps",
+)  # fmt: skip
+"""Facts of a row that its event has under the same name."""
 
 
 @dataclass(frozen=True)

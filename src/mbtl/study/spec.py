@@ -11,6 +11,7 @@ import numpy as np
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
+from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
 
 
@@ -213,9 +214,3 @@ _SPEC: dict[str, Rule] = {
     **dict.fromkeys(("cost_budget", "best_return", "floor"), NUMBER),
     **dict.fromkeys(("eval_targets", "steps", "unit", "target_steps"), or_null(COUNT)),
 }
-
-
-def short(value: Any) -> str:
-    """A value for a message."""
-    text = ascii(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -21,7 +21,7 @@ from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill, counted
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
-from mbtl.study.records import Failure, FreshReturns, PickRecord, ToldRow
+from mbtl.study.records import LOGGED, Failure, FreshReturns, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
 
 ABILITIES = ("sets", "start", "length")
@@ -68,8 +68,6 @@ class StudyState:
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
     _performance: Array | None = field(default=None, repr=False)
-    _room: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    """Its memory, with place for rows to come."""
     _errors: Array | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
@@ -138,7 +136,9 @@ class StudyState:
     def _make_history(self) -> History:
         n = self.spec.space.n
         if self._performance is None or len(self._performance) < len(self.rows):
-            self._performance = self._normalised()
+            returns = np.array([row.returns for row in self.rows]).reshape(-1, n)
+            self._performance = self.bounds().normalise(returns)
+            self._performance.setflags(write=False)  # there may be gigabytes of it
             self._errors = self._episodes().errors if self.rows else None
         trainings = [self._made(row) for row in self.rows]
         busy = self.open_picks.values()
@@ -170,28 +170,6 @@ class StudyState:
     def _forget(self) -> None:
         """What was computed from rows that are other ones now."""
         self._performance = self._routing = None
-
-    def _normalised(self) -> Array:
-        """(k, N) performance, not to be written to; there may be gigabytes of it.
-
-        Under bounds that stay, a row that is told is put below those before it, where there is
-        room, instead of computing all of them again in each of many workers.
-        """
-        done = (
-            0 if self._performance is None or self.spec.bounds is None else len(self._performance)
-        )
-        k, n = len(self.rows), self.spec.space.n
-        if not done or len(self._room) < k:
-            room = np.empty((2 * k if done else k, n))
-            if done:
-                room[:done] = self._room[:done]
-            self._room = room
-        if k > done:
-            new = np.array([row.returns for row in self.rows[done:]])
-            self._room[done:k] = self.bounds().normalise(new)
-        view = self._room[:k]
-        view.setflags(write=False)
-        return view
 
     def _episodes(self) -> Episodes:
         return Episodes([row.each for row in self.rows], self.bounds())
@@ -442,24 +420,15 @@ class StudyState:
             facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
             pick = self.planned({**facts, "notes": ()})
         row = ToldRow(
-            pick.source,
-            data["pick"],
-            each,
-            data["cost"],
-            data["seconds"],
-            data["policy"],
-            event.time,
-            event.seq,
-            data.get("sha256"),
-            data.get("recipe"),
-            data.get("steps"),
-            pick.sources,
-            pick.start,
-            pick.done > 0.0,
-            pick.length,
-            data.get("state"),
-            data.get("state_sha256"),
-            data.get("evaluation_steps"),
+            source=pick.source,
+            each=each,
+            told_at=event.time,
+            event=event.seq,
+            sources=pick.sources,
+            start=pick.start,
+            goes_on=pick.done > 0.0,
+            length=pick.length,
+            **{name: data.get(name) for name in LOGGED},  # type: ignore[arg-type]
         )
         self.rows.append(row)
         self._told_by[event.seq] = row

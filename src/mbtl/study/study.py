@@ -6,6 +6,7 @@ It decides; it trains nothing. Its log of events is the study, its state a repla
 from __future__ import annotations
 
 import contextlib
+import math
 import random
 import threading
 import time
@@ -98,6 +99,7 @@ class Study:
 
     Attributes:
         name: within its storage.
+        log: where its events are.
         artifacts: keeps the policies; None: they cannot be kept.
         database: its file; None: it is on a server, or in memory.
         trainer: trains and reads policies where no other is given.
@@ -133,7 +135,7 @@ class Study:
         self.worker = new_worker()
         self.database = database_file(getattr(log, "url", ""))
         self.presence = Presence(self.database)
-        self._log = log
+        self.log = log
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
         self.selector = selector
@@ -149,7 +151,7 @@ class Study:
         return f"Study({self.name!r}: {how}, {spec.space!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        if isinstance(self._log, MemoryLog):
+        if isinstance(self.log, MemoryLog):
             raise StudyError(
                 f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
                 "another or copied; make it with storage=<path or URL>"
@@ -159,14 +161,14 @@ class Study:
             "name": self.name,
             "trainer": self.trainer,
         }
-        return partial(type(self), **given), (self._log, self.selector)
+        return partial(type(self), **given), (self.log, self.selector)
 
     # ---- reading ------------------------------------------------------------------------------
 
     @_alone
     def refresh(self) -> StudyState:
         """Apply what other processes appended, and return the state."""
-        for event in self._log.read(self._state.seq):
+        for event in self.log.read(self._state.seq):
             gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
             advance(self._state, event)
             if gone is not None:  # policies are kept by the place of their row
@@ -180,11 +182,6 @@ class Study:
     def folder(self) -> Path | None:
         """Policies are saved below it; None where they are elsewhere, or nowhere."""
         return self.artifacts.root if isinstance(self.artifacts, FolderStore) else None
-
-    @property
-    def log(self) -> EventLog:
-        """Where the events are."""
-        return self._log
 
     @property
     def spec(self) -> StudySpec:
@@ -246,7 +243,7 @@ class Study:
     @property
     def is_durable(self) -> bool:
         """True when the study outlives this process."""
-        return not isinstance(self._log, MemoryLog)
+        return not isinstance(self.log, MemoryLog)
 
     @property
     @_alone
@@ -272,14 +269,6 @@ class Study:
         """What became of each pick, and of rows that nobody asked for, one typed line each."""
         return trainings_of(self.refresh(), self.watch())
 
-    def to_frame(self) -> Any:
-        """A pandas table of the trainings, a line each.
-
-        Raises:
-            MissingExtra: pandas is not installed.
-        """
-        return self.trainings.to_frame()
-
     def _repr_html_(self) -> str:
         return self.trainings.html(repr(self))
 
@@ -297,7 +286,7 @@ class Study:
 
     def watch(self) -> Watch:
         """Which leases are stale now."""
-        return Watch(self._log, self.presence.is_gone)
+        return Watch(self.log, self.presence.is_gone)
 
     @_alone
     def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
@@ -399,7 +388,7 @@ class Study:
         held = self.refresh().open_picks.get(pick.number)
         if held is None or held.lease is None or held.lease.token != pick.token:
             return False
-        self._log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
+        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
         return True
 
     def pick(self, number: int) -> Pick:
@@ -688,29 +677,25 @@ class Study:
             InvalidInput: it is not larger than now, or asks a selector for more trainings than
                 there are contexts.
         """
-        steps = budget.total if isinstance(budget, Steps) else None
-        units = None if isinstance(budget, Steps) else whole("budget", budget)
+        in_steps = isinstance(budget, Steps)
+        wanted = budget.total if isinstance(budget, Steps) else whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
             spec = state.spec
-            n, now = spec.space.n, spec.budget if spec.steps is None else spec.steps
-            if (steps is None) != (spec.steps is None) or (steps or units or 0) <= now:
+            now = spec.budget if spec.steps is None else spec.steps
+            most = math.inf if spec.any_training else spec.space.n  # trainings
+            known = in_steps == (spec.steps is not None)
+            if not known or wanted <= now or (wanted > most and not in_steps):
+                what = "trainings" if spec.steps is None else "steps"
                 raise InvalidInput(
-                    "a budget can only be raised, and counts what it counted before, got "
-                    f"{'Steps' if steps else 'trainings'} {steps or units} where it was {now} "
-                    f"{'trainings' if spec.steps is None else 'steps'}"
+                    f"a budget can only be raised, and counts what it counted before, from {now} "
+                    f"{what} (a selector's up to one on each of {spec.space.n} contexts), got "
+                    f"{wanted} {'steps' if in_steps else 'trainings'}"
                 )
-            if steps is not None:
-                more = max(steps // (spec.unit or steps), spec.budget)
-                more = more if spec.any_training else min(more, n)
-                return Event("extended", {"budget": more, "steps": steps})
-            assert units is not None
-            if units > n and not spec.any_training:
-                raise InvalidInput(
-                    f"a budget can only be raised, from {now} up to {n} trainings of {n} contexts, "
-                    f"got {units}"
-                )
-            return Event("extended", {"budget": units})
+            if not in_steps:
+                return Event("extended", {"budget": wanted})
+            more = max(wanted // (spec.unit or wanted), spec.budget)
+            return Event("extended", {"budget": int(min(more, most)), "steps": wanted})
 
         self._commit(extended)
 
@@ -944,7 +929,7 @@ class Study:
                     return None
                 check_event(event, self._state)
                 before = self._holder(event)
-                self._log.append(event, after=self._state.seq)
+                self.log.append(event, after=self._state.seq)
                 self.refresh()
             if before is not None:
                 self.presence.succeed(before, self.leases)
@@ -956,7 +941,7 @@ class Study:
         queued = self._queued > 0
         self._queued -= queued
         try:
-            with self._log.turn() if queued else contextlib.nullcontext():
+            with self.log.turn() if queued else contextlib.nullcontext():
                 yield queued
         except Conflict:
             self._queued = _QUEUED
