@@ -181,12 +181,11 @@ def test_descriptions_are_the_same_in_every_process_and_by_whatever_name(tmp_pat
     here = json.loads(json.dumps([described(module.VALUES), described_code(module.make_env)]))
     assert here[1].keys() == {"code", "size", "World", "deeper", "RATE", "TABLE", "PLACE"}
     package = str(Path(mbtl.settings.__file__).parents[1])
-    for seed in ("1", "2"):
-        said = subprocess.run(
-            [sys.executable, tmp_path / "described_module.py"], text=True, check=True,
-            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": package}, capture_output=True,
-        ).stdout  # fmt: skip
-        assert json.loads(said) == here
+    said = subprocess.run(
+        [sys.executable, tmp_path / "described_module.py"], text=True, check=True,
+        env={**os.environ, "PYTHONHASHSEED": "1", "PYTHONPATH": package}, capture_output=True,
+    ).stdout  # fmt: skip
+    assert json.loads(said) == here
 
 
 def test_what_own_code_uses_of_its_module_counts_and_where_it_writes_does_not(tmp_path):

@@ -24,7 +24,6 @@ from mbtl.study import MemoryLog, Study
 from mbtl.study.artifacts import Artifact
 from mbtl.study.events import Event
 from mbtl.study.storage import checksum_of
-from mbtl.trainers import Trainer
 
 SPACE = mbtl.ContextSpace.grid(
     {mbtl.Linear("mass", 1.0, 3.0, unit="kg"): 3, mbtl.Integer("n", 1, 2): 2}
@@ -51,10 +50,10 @@ def study(tmp_path):
     return made
 
 
-class Scripted:
+class InTurn:
     """All contexts, longer, a copy tuned from that, the second one evaluated further."""
 
-    name, traits = "scripted", Traits(any_training=True)
+    name, traits = "in-turn", Traits(any_training=True)
     script = (
         Proposal(2, "all", length=1.0, sources=tuple(range(6)), targets=(0, 3)),
         Proposal(2, "longer", start=0, length=2.5, sources=tuple(range(6))),
@@ -74,7 +73,7 @@ def any_training(tmp_path):
     """One that counts steps, with all kinds of picks."""
     made = created(
         SPACE, budget=mbtl.Steps(60_000, unit=1_000, horizon=100), bounds=(0.0, 9.0),
-        strategy=Scripted(), storage=tmp_path / "any.db",
+        strategy=InTurn(), storage=tmp_path / "any.db",
     )  # fmt: skip
     state = Artifact("policies/all.state", "0" * 64)
     made.tell(made.ask(), np.ones((2, 3)), policy="policies/all", steps=1_000,
@@ -98,6 +97,14 @@ def events(study):
         {"kind": e.kind, "data": copy.deepcopy(dict(e.data)), "arrays": dict(e.arrays)}
         for e in study.log.read()
     ]
+
+
+def read(log, folder=None):
+    """A study of such a log, in memory."""
+    memory = MemoryLog()
+    for i, e in enumerate(log):
+        memory.append(Event(e["kind"], e["data"], e["arrays"]), after=i)
+    return Study(memory, get_strategy("all-first"), folder=folder)
 
 
 def told(log):
@@ -139,19 +146,14 @@ def used(study):
 # ---- strangers --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "policy",
-    ["/etc", "../secret", "policies/../../secret", "C:\\x", "..\\x", ".ssh", "a/.ssh", "", 3],
-)
-def test_a_path_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp_path, policy):
+def test_a_path_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp_path):
     log = events(study)
-    told(log)["data"]["policy"] = policy
-    written(tmp_path, log)
-    with pytest.raises(StorageError, match=r"event 4 \(told\) .*`policy` must be a folder inside"):
-        mbtl.load_study(tmp_path)
-
-
-def test_such_a_path_is_not_recorded_either(study):
+    out = ["/etc", "../secret", "policies/../../secret", "C:\\x", "..\\x", ".ssh", "a/.ssh", "", 3]
+    for policy in out:
+        told(log)["data"]["policy"] = policy
+        written(tmp_path, log)
+        with pytest.raises(StorageError, match=r"event 4 \(told\) .*`policy` must be a folder in"):
+            mbtl.load_study(tmp_path)
     with pytest.raises(InvalidInput, match="`policy` must be a folder inside the study's own"):
         study.tell(3, np.zeros(6), policy="/etc")
     assert len(study.refresh().rows) == 2
@@ -185,26 +187,13 @@ def test_a_run_writes_no_policies_through_a_link(tmp_path):
     assert not study.refresh().failures
 
 
-@pytest.mark.parametrize("uid", ["../..", "a/b", "", "x" * 65, None])
-def test_a_uid_that_is_no_name_of_a_folder_is_refused(study, tmp_path, uid):
+def test_a_uid_that_is_no_name_of_a_folder_is_refused(study, tmp_path):
     log = events(study)
-    log[0]["data"]["uid"] = uid
-    written(tmp_path, log)
-    with pytest.raises(StorageError, match=r"event 1 \(created\) .*`uid` must be"):
-        mbtl.load_study(tmp_path)
-
-
-def test_a_zip_of_the_study_needs_trust_or_its_trainer(study, tmp_path, monkeypatch):
-    log = events(study)
-    log[0]["data"]["spec"]["settings"]["policy_format"] = "sb3"
-    written(tmp_path, log)
-    monkeypatch.setattr("mbtl.trainers.load_sb3", lambda place: "model")
-    opened = mbtl.load_study(tmp_path)
-    with pytest.raises(InvalidInput, match="pass trust=True"):
-        opened.portfolio().policy(0)
-    assert opened.portfolio(trust=True).policy(0) == "model"
-    monkeypatch.setattr(Trainer, "load", lambda place: (place / "theta.txt").read_text())
-    assert opened.portfolio(Trainer).policy(0) == "7"
+    for uid in ("../..", "a/b", "", "x" * 65, None):
+        log[0]["data"]["uid"] = uid
+        written(tmp_path, log)
+        with pytest.raises(StorageError, match=r"event 1 \(created\) .*`uid` must be"):
+            mbtl.load_study(tmp_path)
 
 
 # ---- damage -----------------------------------------------------------------------------------
@@ -216,19 +205,17 @@ def test_any_damage_to_the_facts_gets_a_sentence(which, request):
     whole, refused = events(study), {}
 
     def attempt(seed):
-        log, memory = copy.deepcopy(whole), MemoryLog()
+        log = copy.deepcopy(whole)
         entry = log[seed % len(log)]
-        entry["data"] = damaged(entry["data"], seed)
-        for i, e in enumerate(log):
-            memory.append(Event(e["kind"], json.loads(json.dumps(e["data"])), e["arrays"]), after=i)
+        entry["data"] = json.loads(json.dumps(damaged(entry["data"], seed)))
         try:
-            opened = Study(memory, get_strategy("all-first"), folder=study.folder)
+            opened = read(log, folder=study.folder)
         except StorageError as error:
             refused[entry["kind"]] = str(error)
             raise
         used(opened)
 
-    assert refusals(attempt, 200) > 60
+    assert refusals(attempt, 120) > 36
     assert set(refused) == {e["kind"] for e in whole}
     assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
@@ -260,26 +247,15 @@ def test_no_flipped_bit_loads(study, tmp_path):
 def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
     whole = events(study)
     odd = [
-        None,
-        "text",
-        b"bytes",
-        3,
-        10**12,
-        -1.0,
-        "",
-        "{}",
-        "[]",
-        '{"a": NaN}',
-        "[" * 9999,
-        b"\xff",
+        *(None, "text", b"bytes", 3, 10**12, -1.0),
+        *("", "{}", "[]", '{"a": NaN}', "[" * 9999, b"\xff"),
     ]
 
     def attempt(seed):
         rng, log = random.Random(seed), copy.deepcopy(whole)
         entry = rng.choice([told(log), *log])
-        change = rng.choice(
-            ["text", "time", "kind", "packed", "arrays", "arrays", "bytes", "event"]
-        )
+        changes = ["text", "time", "kind", "packed", "arrays", "arrays", "bytes", "event"]
+        change = rng.choice(changes)
         if change == "event":
             log.remove(entry)
         elif change == "bytes":
@@ -289,9 +265,8 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
         elif change == "arrays":
             name = rng.choice([*entry["arrays"], "other"])
             shape = rng.choice([(6,), (2, 6), (0,), (), (7,)])
-            entry["arrays"][name] = np.full(
-                shape, rng.choice([1.0, np.nan, np.inf, 1e308, "a", 1j])
-            )
+            filled = rng.choice([1.0, np.nan, np.inf, 1e308, "a", 1j])
+            entry["arrays"][name] = np.full(shape, filled)
         else:
             entry[change] = rng.choice(odd)
         try:
@@ -303,9 +278,9 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
     assert refusals(attempt, 40) > 20
 
 
-@pytest.mark.parametrize(
-    ("kind", "which", "change", "words"),
-    [
+def test_a_training_that_cannot_be_is_refused(any_training):
+    whole = events(any_training)
+    for kind, which, change, words in (
         ("asked", 0, {"sources": []}, "`sources` must be different context indices"),
         ("asked", 0, {"sources": [2, 2]}, "`sources` must be different context indices"),
         ("asked", 0, {"start": 1}, "`start` must be the number of the event that told a row"),
@@ -324,42 +299,29 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
         ("late", 0, {"targets": 3}, "`targets` must be"),
         ("retried", 0, {"steps": True}, "`steps` must be a finite number >= 0"),
         ("failed", 0, {"pick": 0}, "`pick` must be the number of an open pick"),
-    ],
-)
-def test_a_training_that_cannot_be_is_refused(any_training, kind, which, change, words):
-    log, memory = events(any_training), MemoryLog()
-    [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)
-    for i, e in enumerate(log):
-        memory.append(Event(e["kind"], e["data"], e["arrays"]), after=i)
-    with pytest.raises(StorageError, match=words):
-        Study(memory, Scripted(), folder=None)
-
-
-def test_a_budget_is_never_lowered(any_training):
-    log = events(any_training)
+    ):
+        log = copy.deepcopy(whole)
+        [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)
+        with pytest.raises(StorageError, match=words):
+            read(log)
     for facts in ({"budget": 1, "steps": 10}, {"budget": 10**6, "steps": None}):
-        memory = MemoryLog()
-        for i, e in enumerate([*log, {"kind": "extended", "data": facts, "arrays": {}}]):
-            memory.append(Event(e["kind"], e["data"], e["arrays"]), after=i)
         with pytest.raises(StorageError, match="can only be raised"):
-            Study(memory, Scripted(), folder=None)
+            read([*whole, {"kind": "extended", "data": facts, "arrays": {}}])
 
 
 def test_a_long_chain_of_trainings_is_read(any_training):
     """Of each that goes on it is known what it began with; Python's stack is 1,000 deep."""
-    created_, asked, answer = events(any_training)[0], *(
-        next(e for e in events(any_training) if e["kind"] == kind) for kind in ("asked", "told")
-    )  # fmt: skip
-    memory, seq = MemoryLog(), 1
-    memory.append(Event("created", created_["data"]), after=0)
+    begun, asked, answer = (
+        next(e for e in events(any_training) if e["kind"] == kind)
+        for kind in ("created", "asked", "told")
+    )
+    log = [begun]
     for i in range(1_100):
-        start = None if not i else seq
+        start = len(log) if i else None
         facts = {"pick": i, "start": start, "length": 1.0 + i, "token": f"t{i}"}
-        memory.append(Event("asked", {**asked["data"], **facts}), after=seq)
-        told_ = {**answer["data"], "pick": i, "token": f"t{i}"}
-        memory.append(Event("told", told_, answer["arrays"]), after=seq + 1)
-        seq += 2
-    study = Study(memory, Scripted(), folder=None)
+        log.append({**asked, "data": {**asked["data"], **facts}})
+        log.append({**answer, "data": {**answer["data"], "pick": i, "token": f"t{i}"}})
+    study = read(log)
     assert study.pick(1_099).seed == study.pick(0).seed
     assert study.pick(1_099).done == 1_099.0
     seeds = [training_seed(0, 0, range(6), lineage=lineage) for lineage in ((), (1, 2, 3))]
@@ -384,10 +346,11 @@ def test_a_pick_of_another_study_answers_nothing():
 
 
 def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
-    number = np.float32(0.5)
+    number, three = np.float32(0.5), np.int64(3)
+    assert mbtl.ContextSpace.grid({mbtl.Integer("n", three, 2 * three): three}).n == 3
     study = created(
-        SPACE, budget=3, theta=number, stop_value=number, bounds=(number, np.int64(3)),
-        direction="max", storage=tmp_path / "a.db",
+        SPACE, budget=three, theta=number, stop_value=number, bounds=(number, three),
+        direction="max", seed=three, storage=tmp_path / "a.db",
     )  # fmt: skip
     study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
     assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
@@ -396,23 +359,3 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
         study.tell(study.ask(), np.zeros(6), seconds=np.nan)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"theta": np.nan}, "theta must be finite, from"),
-        ({"theta": "steep"}, "theta must be a number"),
-        ({"stop_value": np.nan, "bounds": (0, 1)}, "value of Stopping must be finite, from"),
-        ({"stop_value": 1.5, "bounds": (0, 1)}, r"at most 1 \(the better bound\), got 1.5"),
-        ({"bounds": 5}, "two numbers"),
-        ({"bounds": (0, 1, 2)}, "two numbers"),
-        ({"bounds": ("a", 1)}, "two numbers"),
-        ({"bounds": (-1e308, 1e308)}, "finite, .* low < high"),
-        ({"direction": "upwards"}, "'maximize' or 'minimize'"),
-    ],
-)
-def test_settings_that_are_no_numbers_are_refused_and_nothing_is_stored(tmp_path, wrong, words):
-    with pytest.raises(InvalidInput, match=words):
-        created(SPACE, budget=3, storage=tmp_path / "a.db", **wrong)
-    assert not (tmp_path / "a.db").exists()

@@ -38,7 +38,11 @@ def run(study, **wishes):
 
 def test_a_report_costs_no_more_than_the_study_and_says_before_how_much(capsys):
     study = study_of()
+    result, played = run(study, report=False)
+    assert (result.fresh, played) == (None, [])
+    assert result.value == study.value == study.routing.value.value
     result, played = run(study)
+    assert result.value == study.value == result.fresh.value
     evaluations = sum(int(np.isfinite(row.returns).sum()) for row in study.state.rows)
     plan = plan_of(study)
     assert sum(played) == plan.evaluations <= evaluations < 5 * (TARGETS + 1) + 1
@@ -145,10 +149,12 @@ def test_an_evaluation_of_the_report_has_the_time_limit_of_the_study(capsys):
         return returns_of(policy, contexts, seeds)
 
     study = study_of(budget=1)
-    result = ran(study, lambda context, seed: 0.5, evaluate, timeout=1.0, progress=True)
+    result = ran(study, lambda context, seed: 0.5, evaluate, timeout=0.5, progress=True)
     assert result.fresh is None
     assert result.value == study.routing.value.value
-    assert "could not be measured: TookTooLong: it took longer than 1 s" in capsys.readouterr().err
+    assert (
+        "could not be measured: TookTooLong: it took longer than 0.5 s" in capsys.readouterr().err
+    )
 
 
 def test_the_worst_contexts_are_not_chosen_by_the_bad_luck_of_a_report():

@@ -13,29 +13,26 @@ import mbtl
 from flat import created, ran
 from mbtl.trainers import FunctionTrainer
 
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),
+]
 PROGRAM = "from mbtl.cli import program; program()"
 
 
-def killing_once(marks, context, seed):
-    """The first three trainings begin together; one of them takes its process with it."""
-    first = not Path(marks).exists()
-    if first:
-        Path(marks).write_text(str(os.getpid()))
-        os.kill(os.getpid(), signal.SIGKILL)
-    return quick_problem.train(context, seed)
-
-
 class Deadly:
-    """As `killing_once` of one folder; importable, so that it travels."""
+    """The first training takes its process with it."""
 
     def __init__(self, marks):
-        self.marks = str(marks)
+        self.marks = marks
 
     def __call__(self, context, seed):
-        return killing_once(self.marks, context, seed)
+        if not self.marks.exists():
+            self.marks.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return quick_problem.train(context, seed)
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
@@ -69,7 +66,6 @@ problem = mbtl.CMDP.from_functions('quick', quick.SPACE, train=quick.train, budg
 """
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_submitit_starts_workers_and_they_end_the_study(tmp_path, monkeypatch):
     submitit = pytest.importorskip("submitit")
     (tmp_path / "mine.py").write_text(PROBLEM)

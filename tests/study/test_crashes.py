@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from line_problem import line, train
 
-import mbtl
 from flat import created
 from mbtl.episodes import episode_moments
 from mbtl.errors import TrainingFailed
@@ -11,7 +11,7 @@ from mbtl.history import History
 from mbtl.selectors import get_selector
 from mbtl.selectors.base import SelectionProblem, success_chance
 
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 60})
+SPACE = line(60)
 X = SPACE.unit[:, 0]
 
 
@@ -53,7 +53,7 @@ def test_a_run_bears_crashed_episodes_and_its_report_does():
         return returns
 
     study = study_of()
-    result = study.run(lambda c, s: c["x"], evaluate, progress=False)
+    result = study.run(train, evaluate, progress=False)
     assert result.fresh is not None
     assert result.value == pytest.approx(float(study.routing.served.mean()), abs=1e-6)
 
@@ -85,14 +85,7 @@ def test_the_chance_of_success_is_one_before_a_failure_and_local_after_it():
 
 @pytest.mark.parametrize(
     ("selector", "most"),
-    [
-        ("specialists", 6),
-        ("mbtl", 6),
-        ("mbtl-ei", 6),
-        ("gp-mbtl", 6),
-        ("m-mbtl", 3),
-        ("sd-mbtl", 3),
-    ],
+    [*((one, 6) for one in ("specialists", "mbtl", "mbtl-ei", "gp-mbtl")), ("sd-mbtl", 3)],
 )
 def test_a_region_where_trainings_crash_is_left_after_some(selector, most):
     """30 % of the contexts crash, in one region: of 15 picks at random 4.5 are spent there."""

@@ -5,7 +5,6 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.errors import InvalidInput
 from mbtl.study import StudyFinished
 
 N = 12
@@ -74,9 +73,3 @@ def test_a_lucky_mean_does_not_reach_a_level():
     sure = study_of(stop_value=0.8, strategy="mbtl")
     tell(sure, 405.0)
     assert sure.stop_reason == "V = 0.8100 reaches the level 0.8"
-
-
-@pytest.mark.parametrize("wrong", [{"stop_left": 0.01, "bounds": None}, {"stop_left": -1.0}])
-def test_wishes_that_mean_nothing_are_refused(wrong):
-    with pytest.raises(InvalidInput, match="left of Stopping"):
-        study_of(**wrong)

@@ -15,9 +15,9 @@ def test_kills_lose_nothing_tell_nothing_twice_and_every_study_ends(database):
     if database == "postgresql" and (reason := missing()):
         pytest.skip(reason)
     done = subprocess.run(
-        [sys.executable, PROGRAM, "--kills", "6", "--databases", database],
+        [sys.executable, PROGRAM, "--kills", "3", "--databases", database],
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "6 kills" in done.stdout
+    assert "3 kills" in done.stdout
     assert "rows lost 0, told twice 0" in done.stdout

@@ -1,11 +1,12 @@
 """Picks are leases: nobody waits for a dead worker, and what comes late changes nothing."""
 
 import pickle
-import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from line_problem import TRAINER, evaluate, line
 
 import mbtl
 from flat import created
@@ -14,10 +15,10 @@ from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
 from mbtl.study.callbacks import PrintProgress
 from mbtl.study.heartbeat import Keeper
-from mbtl.trainers import FunctionTrainer, Progress
+from mbtl.trainers import Progress
 
 N = 12
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
+SPACE = line(N)
 
 
 def row(source):
@@ -68,19 +69,15 @@ class Slow:
 
 def test_ten_askers_make_ten_proposals(tmp_path):
     """Each used to be thrown away when somebody else was faster: 53 for ten askers."""
-    made, picks = [], []
+    made = []
     settings = {"budget": 10, "strategy": Slow(made), "storage": tmp_path / "study.db"}
     created(SPACE, **settings)
 
-    def ask():
-        picks.append(created(SPACE, load_if_exists=True, **settings).ask())
+    def ask(_):
+        return created(SPACE, load_if_exists=True, **settings).ask().source
 
-    threads = [threading.Thread(target=ask) for _ in range(10)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(pick.source for pick in picks) == list(range(10))
+    with ThreadPoolExecutor(10) as threads:
+        assert sorted(threads.map(ask, range(10))) == list(range(10))
     assert len(made) == 10
 
 
@@ -242,25 +239,6 @@ def test_a_wrong_row_is_taken_back_and_its_pick_may_be_tried_again(place):
 # ---- runs --------------------------------------------------------------------------------------
 
 
-class Reporting(FunctionTrainer):
-    """Reports twice, and lets the test act between."""
-
-    def __init__(self, between):
-        def train(context, seed):
-            return context["x"]
-
-        super().__init__(train, lambda p, cs, seed: [1 - abs(p - c["x"]) for c in cs])
-        object.__setattr__(self, "between", between)
-        object.__setattr__(self, "trained", [])
-
-    def train(self, contexts, seed, *, on_progress=None, **asked):
-        self.trained.append(contexts[0]["x"])
-        on_progress(Progress(1, 2, {"episode_return": 0.5}))
-        self.between(len(self.trained))
-        on_progress(Progress(2, 2))
-        return super().train(contexts, seed)
-
-
 @pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 def test_a_training_that_is_taken_away_stops_at_its_next_report(place, monkeypatch):
     study, keepers, lost = mbtl.load_study(place), [], []
@@ -271,17 +249,22 @@ def test_a_training_that_is_taken_away_stops_at_its_next_report(place, monkeypat
         def on_lost(self, study, pick):
             lost.append(pick.number)
 
-    def between(count):
-        if count == 1:
+    trained = []
+
+    def train(context, seed, on_progress):
+        trained.append(context["x"])
+        on_progress(Progress(1, 2, {"episode_return": 0.5}))
+        if len(trained) == 1:
             mbtl.load_study(place).release(0)
         keepers[0].look()  # as the thread does, every third of a lease
+        on_progress(Progress(2, 2))
+        return context["x"]
 
-    trainer = Reporting(between)
-    study.run(trainer=trainer, report=False, callbacks=[Ear()])
+    study.run(train, evaluate, report=False, callbacks=[Ear()])
     assert lost == [0]
     assert study.is_finished
     assert len(study.state.rows) == 4
-    assert len(trainer.trained) == 5
+    assert len(trained) == 5
     assert {beat.steps for beat in study.log.beats().values()} == {1.0}
     assert not list(place.glob(".study.db.*.lock"))
 
@@ -298,9 +281,7 @@ def test_a_run_does_what_another_leaves_undone(place, clock, monkeypatch):
 
     monkeypatch.setattr(mbtl.study.runner.time, "sleep", sleep)
     study = mbtl.load_study(place)
-    functions = (lambda c, s: c["x"], lambda p, cs, s: [1 - abs(p - c["x"]) for c in cs])
-    with pytest.warns(mbtl.errors.UnsavedPolicies):
-        study.run(*functions, report=False)
+    study.run(trainer=TRAINER, report=False)
     assert study.is_finished
     assert waited
     assert study.state.rows[-1].pick == pick.number

@@ -1,6 +1,7 @@
 """What people ask a study for: its trainings as lines, what a run gave, ending early."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,19 +20,13 @@ def study_of(storage=None, **settings):
     return created(quick_problem.SPACE, storage=storage, **settings)
 
 
-class Reporting(FunctionTrainer):
-    """Tells on the way how far it is."""
-
-    def train(self, contexts, seed, *, on_progress=None, **asked):
-        for step in (100, 200, 300):
-            if on_progress is not None:
-                on_progress(Progress(step, 300, {"episode_return": float(step)}))
-        return super().train(contexts, seed)
+def reporting(context, seed, on_progress):
+    for step in (100, 200, 300):
+        on_progress(Progress(step, 300, {"episode_return": float(step)}))
+    return quick_problem.train(context, seed)
 
 
-TRAINER = Reporting(
-    quick_problem.train, quick_problem.evaluate, quick_problem.save, quick_problem.load
-)
+TRAINER = replace(quick_problem.TRAINER, train_fn=reporting)
 
 
 def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp_path):
@@ -44,9 +39,8 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
     study.release(back)
     study.tell(1, np.full(N, -5.0))
     lines = study.trainings
-    assert [line.state for line in lines] == [
-        "done", "failed", "pruned", "waiting", "running", "done",
-    ]  # fmt: skip
+    states = [line.state for line in lines]
+    assert states == ["done", "failed", "pruned", "waiting", "running", "done"]
     assert [line.number for line in lines] == [0, 1, 2, 3, 4, None]
     first = lines[0]
     assert (first.seed, first.seconds, first.steps, first.cost) == (done.seed, 3.0, 500.0, 1.0)
@@ -57,23 +51,17 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
     assert study.trainings == mbtl.load_study(tmp_path / "s.db").trainings
 
 
-def test_a_frame_has_a_line_per_training_and_a_column_per_axis():
-    pandas = pytest.importorskip("pandas")
+def test_a_frame_has_a_line_per_training_and_a_column_per_axis(monkeypatch):
+    pytest.importorskip("pandas")
     study = study_of()
     assert study.trainings.to_frame().empty
-    study.tell(study.ask(), np.zeros(N))
+    pick = study.ask()
+    study.tell(pick, np.zeros(N))
     frame = study.trainings.to_frame()
-    assert isinstance(frame, pandas.DataFrame)
-    assert frame["context_mass"].tolist() == [
-        quick_problem.SPACE.context(frame["source"][0])["mass"]
-    ]
-    assert frame["state"].tolist() == ["done"]
-
-
-def test_without_pandas_a_frame_names_the_extra(monkeypatch):
+    assert frame[["context_mass", "state"]].values.tolist() == [[pick.context["mass"], "done"]]
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
-        study_of().trainings.to_frame()
+        study.trainings.to_frame()
 
 
 def test_a_run_says_what_it_gave():
@@ -137,9 +125,7 @@ class Prunes(mbtl.Callback):
 
 def test_a_callback_ends_one_training_early_which_is_no_failure():
     study, callback = study_of(), Prunes()
-    result = ran(
-        study, trainer=TRAINER, progress=False, callbacks=[callback], stop_after_failures=1
-    )
+    result = ran(study, trainer=TRAINER, callbacks=[callback], stop_after_failures=1)
     assert callback.heard == [(0, "a return of 200 at step 200")]
     assert [line.state for line in result.trainings] == ["pruned", "done", "done", "done"]
     assert result.trainings[0].error == "a return of 200 at step 200"

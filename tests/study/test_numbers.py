@@ -9,7 +9,7 @@ import mbtl
 from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.plain import LARGEST
-from mbtl.selectors import SelectionProblem, selector_names
+from mbtl.selectors import selector_names
 from mbtl.trainers import FunctionTrainer
 
 N = 5
@@ -53,13 +53,12 @@ def test_whatever_passes_the_door_can_be_computed_with(selector, bounds):
         assert np.isfinite([study.value, found.error, found.margin, *study.curve]).all()
 
 
-@pytest.mark.parametrize("broken", [1e300, 1e160])
-def test_a_run_defers_what_broke_and_goes_on(broken):
+def test_a_run_defers_what_broke_and_goes_on():
     study = created(SPACE, budget=3, bounds=(0, 1), strategy="equidistant")
 
     def evaluate(policy, contexts, seeds):
         returns = np.array([[1 - abs(c["x"] - policy)] * 3 for c in contexts])
-        return returns + np.array([0, broken, -broken]) if policy == 0.5 else returns
+        return returns + np.array([0, 1e160, -1e160]) if policy == 0.5 else returns
 
     for _ in range(2):
         result = study.run(lambda context, seed: context["x"], evaluate, report=False)
@@ -101,12 +100,6 @@ def test_a_tensor_that_gradients_flow_through_is_told_by_its_values():
     assert study.value == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("costs", [[1e-200, 1e200], [1.0, 1e-31], [1e31, 1.0], [0.0, 1.0]])
-def test_costs_whose_ratio_is_no_number_are_refused(costs):
-    with pytest.raises(InvalidInput, match="costs must be 5 numbers from 1e-30 to 1e\\+30"):
-        created(SPACE, budget=2, costs=[*costs, 1.0, 1.0, 1.0], cost_budget=9.0)
-
-
 @pytest.mark.parametrize("fact", ["seconds", "steps", "cost"])
 def test_what_a_training_took_is_not_negative(fact):
     with pytest.raises(InvalidInput, match=rf"{fact} must be finite, from 0 to 1e\+30, got -5"):
@@ -114,11 +107,5 @@ def test_what_a_training_took_is_not_negative(fact):
 
 
 def test_deviations_are_not_negative():
-    returns, std = np.zeros((1, N, N)), -np.ones((1, N, N))
     with pytest.raises(InvalidInput, match="std must be deviations from 0"):
-        mbtl.TransferMatrix.of(returns, std=std)
-
-
-def test_a_slope_of_the_gap_stays_within_reach():
-    with pytest.raises(InvalidInput, match="theta must be finite, from 0"):
-        SelectionProblem.of(SPACE, budget=1, theta=1e31)
+        mbtl.TransferMatrix.of(np.zeros((1, N, N)), std=-np.ones((1, N, N)))

@@ -5,13 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+from line_problem import SPACE
 
 import mbtl
 from flat import created, ran
 from mbtl.errors import StudyMismatch
 from mbtl.trainers.contract import FunctionTrainer, recipe_digest
 
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 OWN = """
 import numpy as np
 import mbtl
@@ -26,10 +26,6 @@ def save(policy, folder):
     np.save(folder / "x.npy", policy)
 def load(folder):
     return np.load(folder / "x.npy")
-space = mbtl.ContextSpace.grid({{mbtl.Linear("x", 0.0, 1.0): 7}})
-problem = mbtl.CMDP.from_functions(
-    "own", space, train=train, evaluate=evaluate, save=save, load=load, bounds=(0.0, 1.0), budget=3
-)
 """
 
 
@@ -53,8 +49,8 @@ def edited(tmp_path, monkeypatch):
 
 
 def run(tmp_path, own, budget, **options):
-    study = created(SPACE, budget=budget, bounds=(0.0, 1.0), strategy="random",
-                              storage=tmp_path / "s.db", load_if_exists=True)  # fmt: skip
+    settings = {"storage": tmp_path / "s.db", "load_if_exists": True, "strategy": "random"}
+    study = created(SPACE, budget=budget, bounds=(0.0, 1.0), **settings)
     ran(study, own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
     return study
 

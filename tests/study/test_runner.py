@@ -1,4 +1,5 @@
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,11 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, UnsavedPolicies
 from mbtl.study import Callback
-from mbtl.study.closing_report import ReportPlan, fresh_value, plan_of
-from mbtl.trainers import FunctionTrainer, Progress
+from mbtl.study.closing_report import ReportPlan, fresh_value
+from mbtl.trainers import Progress
 
 SPACE = quick_problem.SPACE
 N = SPACE.n
-BATCHES = {"parallel": 2, "deterministic": True}
 
 
 def study_at(path, **settings):
@@ -26,31 +26,18 @@ def counting(calls, **changes):
         calls.append(context["mass"])
         return quick_problem.train(context, seed)
 
-    functions = {
-        "train_fn": train,
-        "evaluate_fn": quick_problem.evaluate,
-        "save_fn": quick_problem.save,
-        "load_fn": quick_problem.load,
-    }
-    return FunctionTrainer(**{**functions, **changes})
+    return replace(quick_problem.TRAINER, **{"train_fn": train, **changes})
 
 
 def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     calls = []
     study = study_at(tmp_path).run(trainer=counting(calls)).study
     assert len(calls) == 5
-    assert study.is_finished
+    assert study_at(tmp_path).run(trainer=counting(calls)).study.is_finished
+    assert len(calls) == 5
     fresh, before = fresh_value(study.state), study.routing.value
     assert study.value == fresh.value != pytest.approx(before.value)  # other episodes
     assert fresh.value == pytest.approx(before.value, abs=0.3)  # of few and skewed ones
-
-
-def test_a_finished_study_run_again_trains_nothing(tmp_path):
-    calls = []
-    study_at(tmp_path).run(trainer=counting(calls))
-    again = study_at(tmp_path).run(trainer=counting(calls)).study
-    assert len(calls) == 5
-    assert again.is_finished
 
 
 def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
@@ -87,87 +74,41 @@ def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     assert len(study.state.rows) == 5
 
 
-def test_workers_in_other_processes_give_the_same_study(tmp_path):
-    """Real processes, two trainings at a time; the order of completion does not matter."""
-    there = ran(
-        study_at(tmp_path / "processes"),
-        trainer=quick_problem.TRAINER,
-        parallel=2,
-        deterministic=True,
-    ).study
-    with ThreadPoolExecutor(2) as pool:
-        here = ran(
-            study_at(tmp_path / "threads"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
-        ).study
-    assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
-    assert np.array_equal(there.curve, here.curve)
+def test_whole_batches_give_one_study_wherever_they_are_done_and_whatever_interrupts(tmp_path):
+    """In threads, in real processes, and interrupted; the order of completion does not matter."""
 
-
-def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
     class Stop(Callback):
         def on_told(self, study, pick):
             if pick.number == 2:
                 raise KeyboardInterrupt
 
+    def run(name, **how):
+        how |= {"trainer": quick_problem.TRAINER, "parallel": 2, "deterministic": True}
+        return ran(study_at(tmp_path / name, budget=4), **how).study
+
     with ThreadPoolExecutor(2) as pool:
-        calm = ran(
-            study_at(tmp_path / "calm"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
-        ).study
+        calm = run("calm", executor=pool)
         with pytest.raises(KeyboardInterrupt):
-            ran(
-                study_at(tmp_path / "b"),
-                trainer=quick_problem.TRAINER,
-                parallel=2,
-                executor=pool,
-                deterministic=True,
-                callbacks=[Stop()],
-            )
-        resumed = ran(
-            study_at(tmp_path / "b"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
-        ).study
-    assert [p.source for p in resumed.state.picks] == [p.source for p in calm.state.picks]
+            run("interrupted", executor=pool, callbacks=[Stop()])
+        resumed = run("interrupted", executor=pool)
+    elsewhere = run("elsewhere")
+    picks = [[p.source for p in study.state.picks] for study in (calm, elsewhere, resumed)]
+    assert picks[0] == picks[1] == picks[2]
+    assert np.array_equal(elsewhere.curve, calm.curve)
 
 
 def test_callbacks_hear_everything(tmp_path):
-    heard = []
+    heard, ear = [], Callback()
+    for name in vars(Callback):
+        if name.startswith("on_"):
+            setattr(ear, name, lambda study, *facts, name=name: heard.append(name[3:]))
 
-    class Ear(Callback):
-        def on_pick(self, study, pick):
-            heard.append("pick")
+    def train(context, seed, on_progress):
+        on_progress(Progress(7, 10))
+        return quick_problem.train(context, seed)
 
-        def on_progress(self, study, pick, progress):
-            heard.append(progress.step)
-
-        def on_evaluation(self, study, pick):
-            heard.append("evaluation")
-
-        def on_told(self, study, pick):
-            heard.append("told")
-
-        def on_report(self, study, plan):
-            heard.append(plan.evaluations)
-
-        def on_note(self, study, words):
-            heard.append(words)
-
-        def on_end(self, study):
-            heard.append("end")
-
-    class Reporting(FunctionTrainer):
-        def train(self, contexts, seed, *, on_progress=None, **asked):
-            on_progress(Progress(7, 10))
-            return super().train(contexts, seed)
-
-    functions = (
-        quick_problem.train,
-        quick_problem.evaluate,
-        quick_problem.save,
-        quick_problem.load,
-    )
-    trainer = Reporting(*functions)
-    study = study_at(tmp_path, budget=2)
-    study.run(trainer=trainer, callbacks=[Ear()])
-    assert heard == ["pick", 7, "evaluation", "told"] * 2 + [plan_of(study).evaluations, "end"]
+    study_at(tmp_path, budget=2).run(trainer=counting([], train_fn=train), callbacks=[ear])
+    assert heard == ["pick", "progress", "evaluation", "told"] * 2 + ["report", "end"]
 
 
 def test_policies_that_cannot_be_saved_stay_in_memory_and_that_is_said_at_once(tmp_path, caplog):
@@ -203,27 +144,3 @@ def test_policies_are_evaluated_afresh_where_they_serve_and_the_best_one_everywh
     some = ReportPlan(plan.route, 1, np.array([0, 3]))
     assert some.policies == [1, 2]
     assert [some.targets(i).tolist() for i in range(3)] == [[], [0, 3], [0]]
-
-
-def test_the_report_plays_what_it_announced_and_not_when_it_is_switched_off(tmp_path, capsys):
-    played = []
-
-    def evaluate(policy, contexts, seeds):
-        played.append(len(contexts))
-        return quick_problem.evaluate(policy, contexts, seeds)
-
-    study = study_at(tmp_path)
-    trainer = counting([], evaluate_fn=evaluate)
-    assert study.run(trainer=trainer, report=False).fresh is None
-    assert study.value == study.routing.value.value
-    played.clear()
-    result = study.run(trainer=trainer)
-    planned = plan_of(study).evaluations
-    assert sum(played) == planned <= 2 * study.space.n
-    assert f"{planned} evaluations of a policy on a context" in capsys.readouterr().err
-    assert result.value == study.value == result.fresh.value
-
-
-def test_run_needs_something_to_train_with(tmp_path):
-    with pytest.raises(InvalidInput, match="train and evaluate"):
-        study_at(tmp_path).run()

@@ -6,9 +6,8 @@ import pytest
 import mbtl
 from flat import created
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
-from mbtl.history import History
 from mbtl.seeds import training_seed
-from mbtl.selectors import MBTL, Proposal, SelectionProblem
+from mbtl.selectors import MBTL
 from mbtl.study import StudyFinished
 from mbtl.study.events import Event
 
@@ -55,17 +54,17 @@ def test_a_study_loaded_again_goes_on_the_same(tmp_path):
     assert np.array_equal(resumed.curve, undisturbed.curve)
 
 
-def test_the_budget_ends_the_study():
+def test_a_budget_of_trainings_or_of_cost_ends_the_study():
     study = told(new(budget=3), 3)
     assert study.is_finished
     with pytest.raises(StudyFinished, match="budget of 3 trainings is spent"):
         study.ask()
-
-
-def test_a_cost_budget_ends_the_study_early():
     study = new(cost_budget=5.0)
-    for _ in range(2):
-        study.tell(study.ask(), row(9), cost=2.5)
+    for source in (0, 1, 2, 3):
+        study.tell(source, row(source))  # nobody asked for it, so it costs nothing
+    assert (study.state.cost, study.stop_reason) == (0.0, None)
+    study.tell(study.ask(), row(9), cost=2.5)
+    study.tell(4, row(4), cost=2.5)  # unless it is told
     with pytest.raises(StudyFinished, match="cost 5 reaches the budget of 5"):
         study.ask()
 
@@ -167,13 +166,8 @@ def test_automatic_bounds_move_with_the_rows_and_never_change_past_picks(tmp_pat
 
 def test_a_stored_study_refuses_other_settings(tmp_path):
     new(tmp_path)
-    for change in (
-        {"budget": 5},
-        {"seed": 1},
-        {"strategy": "greedy"},
-        {"bounds": (0, 2)},
-        {"problem": "x"},
-    ):
+    changes = [{"budget": 5}, {"seed": 1}, {"strategy": "greedy"}, {"bounds": (0, 2)}]
+    for change in (*changes, {"strategy": MBTL(warm_up=1)}, {"problem": "x"}):
         with pytest.raises(StudyMismatch, match="--new"):
             new(tmp_path, load_if_exists=True, **change)
     assert new(tmp_path, load_if_exists=True).spec.budget == 6
@@ -184,42 +178,27 @@ def test_a_stored_study_refuses_other_settings(tmp_path):
 X = mbtl.Linear("x", 0.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("axes", "weights", "words"),
-    [
-        (
-            {mbtl.Linear("y", 0.0, 1.0, "m"): N},
-            None,
-            r"axes of the space was \['x'\], got \['y \[m\]'\]",
-        ),
-        ({mbtl.Linear("x", 0.0, 2.0): N}, None, r"axis 'x', high was 1\.0, got 2\.0"),
-        ({mbtl.Log("x", 0.1, 1.0): N}, None, "axis 'x', kind was 'linear', got 'log'"),
-        ({X: N - 1}, None, "number of contexts was 20, got 19"),
-        (
-            {X: np.linspace(0, 1, N) ** 2},
-            None,
-            r"context of index 1 was {'x': 0\.05\d*}, got {'x': 0\.002",
-        ),
-        ({X: N}, np.arange(1, N + 1), r"weight of {'x': 0\.0} was 0\.05, got 0\.0047"),
-        (None, None, "form of the space was 'a grid', got 'a list'"),
-    ],
-)
-def test_a_stored_study_says_what_differs_in_another_space(tmp_path, axes, weights, words):
-    study = new(tmp_path)
-    other = mbtl.ContextSpace.points([X], study.space.contexts)
-    if axes is not None:
-        other = mbtl.ContextSpace.grid(axes, weights=weights)
-    with pytest.raises(StudyMismatch, match=words):
-        created(other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True)
+def test_a_stored_study_says_what_differs_in_another_space(tmp_path):
+    grid, study = mbtl.ContextSpace.grid, new(tmp_path)
+    for other, words in (
+        (grid({mbtl.Linear("y", 0.0, 1.0, "m"): N}), r"the space was \['x'\], got \['y \[m\]'\]"),
+        (grid({mbtl.Linear("x", 0.0, 2.0): N}), r"axis 'x', high was 1\.0, got 2\.0"),
+        (grid({mbtl.Log("x", 0.1, 1.0): N}), "axis 'x', kind was 'linear', got 'log'"),
+        (grid({X: N - 1}), "number of contexts was 20, got 19"),
+        (grid({X: np.linspace(0, 1, N) ** 2}), r"index 1 was {'x': 0\.05\d*}, got {'x': 0\.002"),
+        (grid({X: N}, weights=np.arange(1, N + 1)), r"of {'x': 0\.0} was 0\.05, got 0\.0047"),
+        (mbtl.ContextSpace.points([X], study.space.contexts), "was 'a grid', got 'a list'"),
+    ):
+        settings = {"storage": tmp_path / "study.db", "load_if_exists": True}
+        with pytest.raises(StudyMismatch, match=words):
+            created(other, budget=6, bounds=(0, 1), **settings)
 
 
 def test_a_leading_tilde_is_the_home_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("USERPROFILE", str(tmp_path / "home"))
     monkeypatch.chdir(tmp_path)
-    study = mbtl.create_study(
-        mbtl.ContextSpace.grid({X: N}), budget=1, storage="~/a/study.db", artifacts="~/policies"
-    )
+    study = created(SPACE, budget=1, storage="~/a/study.db", artifacts="~/policies")
     study.tell(0, np.zeros(N))
     assert study.folder == tmp_path / "home" / "policies"
     assert [path.name for path in tmp_path.iterdir()] == ["home"]
@@ -231,56 +210,10 @@ def test_a_leading_tilde_is_the_home_folder(tmp_path, monkeypatch):
 def test_a_selector_of_one_axis_refuses_others_before_there_is_a_database(tmp_path, selector):
     road = mbtl.Categorical("road", ("dry", "wet"))
     for axes, words in (({X: 3, road: 2}, "x, road"), ({road: 2}, "road")):
+        space = mbtl.ContextSpace.grid(axes)
         with pytest.raises(InvalidInput, match=f"on one numeric axis, got {words}; choose"):
-            mbtl.create_study(
-                mbtl.ContextSpace.grid(axes), budget=2, strategy=selector, storage=tmp_path / "s.db"
-            )
+            created(space, budget=2, strategy=selector, storage=tmp_path / "s.db")
     assert not (tmp_path / "s.db").exists()
-
-
-class Last:
-    """A user's own selector: the open context with the highest index."""
-
-    name = "last"
-
-    def propose(
-        self, problem: SelectionProblem, history: History, rng: np.random.Generator
-    ) -> Proposal:
-        return Proposal(int(np.flatnonzero(history.open_mask(problem.n))[-1]), "highest index")
-
-
-def test_a_users_own_selector_runs_and_is_asked_for_when_loading(tmp_path):
-    study = told(new(tmp_path, strategy=Last()), 3)
-    assert [p.source for p in study.state.picks] == [19, 18, 17]
-    with pytest.raises(StudyError, match="give it as strategy="):
-        mbtl.load_study(tmp_path)
-    assert told(mbtl.load_study(tmp_path, strategy=Last()), 1).state.picks[-1].source == 16
-
-
-def test_settings_of_a_selector_are_part_of_the_study(tmp_path):
-    new(tmp_path, strategy=MBTL(warm_up=1))
-    with pytest.raises(StudyMismatch, match="warm_up"):
-        mbtl.load_study(tmp_path)
-    assert mbtl.load_study(tmp_path, strategy=MBTL(warm_up=1)).spec.budget == 6
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"budget": 0}, "budget must be from 1"),
-        ({"budget": 21}, "budget must be from 1"),
-        ({"strategy": "mbtll"}, "Did you mean 'mbtl'"),
-        ({"bounds": (1.0, 0.0)}, "low < high"),
-        ({"direction": "up"}, "'maximize' or 'minimize'"),
-        ({"theta": -1.0}, "theta"),
-        ({"bounds": None, "stop_value": 0.5}, "needs bounds"),
-        ({"cost_budget": 0.0}, "total of Cost"),
-        ({"seed": -1}, ">= 0"),
-    ],
-)
-def test_bad_settings_are_refused(change, words):
-    with pytest.raises(InvalidInput, match=words):
-        new(**change)
 
 
 def test_a_context_outside_the_space_is_refused():
@@ -288,17 +221,6 @@ def test_a_context_outside_the_space_is_refused():
         new().tell({"x": 1.5}, np.zeros(N))
     with pytest.raises(InvalidInput, match="0 to 19"):
         new().tell(20, np.zeros(N))
-
-
-def test_a_damaged_log_is_noticed(tmp_path):
-    import sqlite3
-
-    told(new(tmp_path), 3)
-    with sqlite3.connect(tmp_path / "study.db") as connection:
-        connection.execute("DELETE FROM mbtl_events WHERE seq = 3")
-    connection.close()
-    with pytest.raises(mbtl.MbtlError, match="event 3 is missing"):
-        mbtl.load_study(tmp_path)
 
 
 # ---- what real studies need --------------------------------------------------------------------
@@ -327,10 +249,6 @@ def test_costs_known_before_keep_the_study_within_its_budget():
     study.ask()  # a pick under way has its cost set aside
     with pytest.raises(StudyFinished, match=r"costs more than the 3 that remain of 13"):
         study.ask()
-    with pytest.raises(InvalidInput, match="one per context, got"):
-        new(costs=[1.0, 2.0], cost_budget=9.0)
-    with pytest.raises(InvalidInput, match="20 numbers from 1e-30"):
-        new(costs=np.zeros(N), cost_budget=9.0)
 
 
 def test_policies_evaluated_on_a_few_targets_only():
@@ -351,8 +269,6 @@ def test_policies_evaluated_on_a_few_targets_only():
     for wrong in ([], [3, 3], [20], [-1]):
         with pytest.raises(InvalidInput, match="distinct context indices from 0 to 19"):
             study.tell(1, [0.5] * len(wrong), targets=wrong)
-    with pytest.raises(InvalidInput, match="targets of Evaluation must be from 1 to 20, got 0"):
-        new(eval_targets=0)
 
 
 def test_a_study_of_the_worst_share_values_it():
@@ -360,10 +276,6 @@ def test_a_study_of_the_worst_share_values_it():
     told(study, 3)
     best = np.max([row(s) for s in study.history.sources], axis=0)
     assert study.value == pytest.approx(np.sort(best)[:2].mean())
-    with pytest.raises(InvalidInput, match="share of the worst targets"):
-        new(risk=1.1)
-    with pytest.raises(InvalidInput, match="risk must be finite and > 0"):
-        new(risk=0)
 
 
 def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_path):
@@ -378,12 +290,6 @@ def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_p
     assert "gains less than" in again.stop_reason
     again.tell(0, row(0))  # news: it asks the selector once more
     assert again.stop_reason is None
-    with pytest.raises(InvalidInput, match="needs a strategy that predicts chances"):
-        new(strategy="mbtl", stop_gain=0.02)
-    with pytest.raises(InvalidInput, match="needs bounds"):
-        new(strategy="auto", bounds=None, stop_gain=0.02)
-    with pytest.raises(InvalidInput, match="probability in"):
-        new(strategy="auto", stop_gain=0.02, stop_confidence=1.0)
 
 
 def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
@@ -403,15 +309,6 @@ def test_a_failed_pick_takes_back_what_was_predicted_with_it():
     assert study.stop_reason == "it seemed so"
     study.fail(pick, "out of memory")
     assert study.stop_reason is None
-
-
-def test_rows_nobody_asked_for_cost_nothing_unless_told():
-    study = new(cost_budget=3.0)
-    for source in (0, 1, 2, 3):
-        study.tell(source, row(source))
-    assert (study.state.cost, study.stop_reason) == (0.0, None)
-    study.tell(4, row(4), cost=3.0)
-    assert "the cost 3 reaches" in study.stop_reason
 
 
 def test_a_pick_given_back_is_not_begun_again_where_the_budget_cannot_pay_it():
@@ -452,13 +349,45 @@ def told_partly(study, picks):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"budget": 0}, "budget must be from 1"),
+        ({"budget": 21, "strategy": "mbtl"}, "budget must be from 1"),
+        ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
+        ({"seed": -1}, ">= 0"),
+        ({"seed": "a"}, "seed must be a whole number"),
+        ({"strategy": "mbtll"}, "Did you mean 'mbtl'"),
+        ({"bounds": (1.0, 0.0)}, "low < high"),
+        ({"bounds": 5}, "two numbers"),
+        ({"bounds": (0, 1, 2)}, "two numbers"),
+        ({"bounds": ("a", 1)}, "two numbers"),
+        ({"bounds": (-1e308, 1e308)}, "finite, .* low < high"),
+        ({"direction": "upwards"}, "'maximize' or 'minimize'"),
+        ({"theta": -1.0}, "theta"),
+        ({"theta": np.nan}, "theta must be finite, from"),
+        ({"theta": "steep"}, "theta must be a number"),
+        ({"bounds": None, "stop_value": 0.5}, "needs bounds"),
+        ({"bounds": None, "stop_left": 0.01}, "left of Stopping"),
+        ({"stop_left": -1.0}, "left of Stopping"),
+        ({"bounds": None, "stop_gain": 0.02}, "needs bounds"),
+        ({"strategy": "mbtl", "stop_gain": 0.02}, "needs a strategy that predicts chances"),
+        ({"stop_gain": 0.02, "stop_confidence": 1.0}, "probability in"),
         ({"stop_gain": float("inf")}, "gain of Stopping must be finite and > 0"),
-        ({"cost_budget": float("inf")}, "total of Cost is a finite number > 0"),
+        ({"stop_value": np.nan}, "value of Stopping must be finite, from"),
+        ({"stop_value": 1.5}, r"at most 1 \(the better bound\), got 1.5"),
         ({"risk": "x"}, "risk must be a number"),
+        ({"risk": 1.1}, "share of the worst targets"),
+        ({"risk": 0}, "risk must be finite and > 0"),
+        ({"cost_budget": 0.0}, "total of Cost"),
+        ({"cost_budget": float("inf")}, "total of Cost is a finite number > 0"),
+        ({"costs": [1.0, 2.0], "cost_budget": 9.0}, "one per context, got"),
+        ({"costs": np.zeros(N), "cost_budget": 9.0}, "20 numbers from 1e-30"),
         ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
+        ({"costs": [1e-200, 1e200] + [1.0] * 18, "cost_budget": 9.0}, "from 1e-30 to 1e\\+30"),
+        ({"eval_targets": 0}, "targets of Evaluation must be from 1 to 20, got 0"),
     ],
 )
-def test_wishes_that_make_no_sense_leave_nothing_behind(tmp_path, settings, words):
+def test_settings_that_make_no_sense_are_refused_and_leave_nothing_behind(
+    tmp_path, settings, words
+):
     with pytest.raises(InvalidInput, match=words):
         new(tmp_path, **{"strategy": "auto", **settings})
     assert not (tmp_path / "study.db").exists()

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from line_problem import evaluate, line, train
 
 import mbtl
 from flat import created, ran
@@ -22,12 +23,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies"),
     pytest.mark.timeout(120),
 ]
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
+SPACE = line(9)
 WRONG = 8  # the context on which something goes wrong
-
-
-def evaluate(policy, contexts, seed):
-    return [1 - abs(policy - c["x"]) for c in contexts]
 
 
 def study_of(**settings):
@@ -106,11 +103,11 @@ with limits.at_most(0.05, lambda: os._exit(7)):
     assert subprocess.run([sys.executable, "-c", script]).returncode == 7
 
 
-@pytest.mark.parametrize("where", ["train", "evaluate"])
-def test_a_training_that_never_reports_is_ended(where):
+@pytest.mark.parametrize(("where", "parallel"), [("train", 1), ("train", 2), ("evaluate", 1)])
+def test_a_training_that_never_reports_is_ended(where, parallel):
     wrong = SPACE.context(WRONG)["x"]
 
-    def train(context, seed):
+    def trained(context, seed):
         if where == "train" and context["x"] == wrong:
             spin()
         return context["x"]
@@ -121,7 +118,9 @@ def test_a_training_that_never_reports_is_ended(where):
         return evaluate(policy, contexts, seed)
 
     study = study_of()
-    ran(study, train, evaluated, timeout=0.2, report=False, rehearse=False)
+    with ThreadPoolExecutor(2) as pool:
+        ran(study, trained, evaluated, timeout=0.2, report=False, rehearse=False,
+            parallel=parallel, executor=pool)  # fmt: skip
     assert len(study.state.rows) == 8
     failed = [*study.state.failures, *study.state.deferred.values()]
     assert [one.source for one in failed] == [WRONG]
@@ -132,7 +131,7 @@ def test_a_training_that_never_reports_is_ended(where):
 def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     seeds = {}
 
-    def train(context, seed):
+    def diverging(context, seed):
         seeds.setdefault(context["x"], []).append(seed)
         if seed == first:
             raise FloatingPointError("diverged")
@@ -141,7 +140,7 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     first = training_seed(5, 0, WRONG)
     study = study_of(seed=5)
     with ThreadPoolExecutor(2) as pool:
-        ran(study, train, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
+        ran(study, diverging, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
     wrong = SPACE.context(WRONG)["x"]
     assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 1)]
     assert all(len(found) == 1 for found in seeds.values())
@@ -170,17 +169,16 @@ def test_tries_sets_and_lineages_never_share_a_seed():
     assert training_seed(0, 0, [4]) == training_seed(0, 0, 4)
 
 
-@pytest.mark.parametrize("parallel", [1, 2])
-@pytest.mark.parametrize("code", [0, 1, None, "goodbye"])
+@pytest.mark.parametrize(("parallel", "code"), [(1, 0), (2, 1), (1, None), (2, "goodbye")])
 def test_a_training_that_exits_has_failed(parallel, code):
-    def train(context, seed):
+    def exiting(context, seed):
         if context["x"] == SPACE.context(WRONG)["x"]:
             sys.exit(code)
         return context["x"]
 
     study = study_of()
     with ThreadPoolExecutor(2) as pool:
-        ran(study, train, evaluate, parallel=parallel, executor=pool, report=False)
+        ran(study, exiting, evaluate, parallel=parallel, executor=pool, report=False)
     assert len(study.state.rows) == 8
     (failed,) = study.state.failures
     assert failed.reason == f"sys.exit({code!r}) was called, where it must return or raise"
@@ -190,6 +188,6 @@ def test_a_training_that_exits_has_failed(parallel, code):
 def test_an_evaluation_that_exits_keeps_the_policy():
     study = study_of()
     with pytest.raises(TrainingFailed, match=r"evaluation failed with sys\.exit\(0\)"):
-        study.run(lambda c, s: c["x"], lambda p, c, s: sys.exit(0))
+        study.run(train, lambda p, c, s: sys.exit(0))
     assert not study.state.failures
     assert len(study.state.deferred) == 1

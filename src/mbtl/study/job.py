@@ -254,8 +254,6 @@ def rehearse(
     trainer: RehearsingTrainer,
     targets: Sequence[Context],
     seeds: Sequence[int],
-    *,
-    here: bool = True,
     timeout: float | None = None,
 ) -> Trouble | None:
     """Save, load and evaluate an untrained policy; what went wrong, or None.
@@ -266,7 +264,6 @@ def rehearse(
         trainer: can make an untrained policy.
         targets: a few contexts.
         seeds: of their evaluations.
-        here: this process asks; False in a worker process.
         timeout: seconds that it may take; None: no limit.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -274,7 +271,7 @@ def rehearse(
             trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)),
             places=["policies/a/trial"], rehearse=True, timeout=timeout, untrained=True,
         )  # fmt: skip
-        outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))
+        outcome = perform_elsewhere(job, (MbtlError,))
     return None if isinstance(outcome, Outcome) else outcome
 
 

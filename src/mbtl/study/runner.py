@@ -289,7 +289,7 @@ def _rehearse(
     if executor is None:
         trouble = rehearsal(contexts, seeds)
     else:
-        trouble = brought_back(executor.submit(rehearsal, contexts, seeds, here=False))
+        trouble = brought_back(executor.submit(rehearsal, contexts, seeds))
     if trouble is None:
         return
     if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
