@@ -165,8 +165,7 @@ def _early_stop(state: StudyState) -> str | None:
                 return f"{within} there can be, {most:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
-    most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)
-    if spec.costs is not None and state.committed > most and given_back(state):
+    if spec.costs is not None and state.cost_left < 0.0 and given_back(state):
         return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
 
@@ -198,7 +197,7 @@ def propose(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
     if enough is not None and len(known) >= LEAST_ROWS:
         return enough
     facts = _facts(state, proposal)
-    left = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9) - known.spent
+    left = state.cost_left
     if spec.costs is not None and state.usual_cost(state.planned(facts)) > left:
         return (
             f"of the cost budget of {spec.cost_budget:g} {max(left, 0.0):g} are left, and what is "
@@ -295,11 +294,10 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
             f"what is only evaluated (length 0) names the policy, start=, and its targets=, got "
             f"{proposal} from {name!r}"
         )
-    before = None if start is None else seen.made(start)
-    goes_on = before is not None and before.contexts == proposal.contexts
-    if before is not None and goes_on and length and length <= before.length:
+    pick = state.planned(_facts(state, proposal))
+    if length and length <= pick.done:
         raise InvalidInput(
-            f"a training goes on beyond the {before.length:g} units that it has, got "
+            f"a training goes on beyond the {pick.done:g} units that it has, got "
             f"length={length:g} from {name!r}; it is the length in all"
         )
     asked = {
@@ -308,22 +306,20 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
         "length": length not in (None, 0.0),
     }
     for ability, wanted in asked.items():
-        if wanted and ability not in (state.abilities):
+        if wanted and ability not in state.abilities:
             raise InvalidInput(
                 f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
                 "give another trainer, or a strategy that heeds `problem.abilities`"
             )
-    pick = state.planned(_facts(state, proposal))
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(
             f"a training is asked for once, got one that is done, under way or failed from "
             f"{name!r}: {proposal}; `history.asked` has them"
         )
-    price = pick.price
-    if spec.steps is None and seen.paid + price > spec.budget + LEAST_UNIT:
+    if spec.steps is None and seen.paid + pick.price > spec.budget + LEAST_UNIT:
         raise InvalidInput(
-            f"a training costs no more than is left of the budget of {spec.budget}, got {price:g} "
-            f"units where {seen.paid:g} are spent, from {name!r}"
+            f"a training costs no more than is left of the budget of {spec.budget}, got "
+            f"{pick.price:g} units where {seen.paid:g} are spent, from {name!r}"
         )
 
 

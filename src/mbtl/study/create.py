@@ -21,7 +21,7 @@ from mbtl.strategies import get_strategy, strategy_names
 from mbtl.study.artifacts import policy_store
 from mbtl.study.budget import Cost, Steps
 from mbtl.study.checks import replay
-from mbtl.study.database import exists_already, fixed_url, shown
+from mbtl.study.database import fixed_url, shown
 from mbtl.study.events import Event
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
@@ -130,7 +130,10 @@ def create_study(
     except Conflict:
         study = Study(log, chosen, folder=folder, name=name, trainer=facts.trainer)
         if not load_if_exists:
-            raise exists_already(name, storage) from None
+            raise StudyError(
+                f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
+                "to go on with it, or choose another name"
+            ) from None
         _check_same(study.state, spec)
         if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
             study.extend(spec.budget if spec.steps is None else Steps(spec.steps))

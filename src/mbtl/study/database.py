@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import unquote
 
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, Unreachable, few
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable, few
 from mbtl.files import from_home
 from mbtl.plain import short
 
 if TYPE_CHECKING:
-    from sqlalchemy import URL, Connection, Engine, Table
-    from sqlalchemy.exc import DBAPIError
+    import sqlalchemy as sa
 
 _logger = getLogger(__name__)
 
@@ -87,7 +86,7 @@ def as_url(url: str | Path) -> str:
     Raises:
         InvalidInput: ":memory:", since a study in memory needs no storage; or no path at all.
     """
-    from sqlalchemy import URL
+    import sqlalchemy as sa
 
     text = str(url)
     check_path(text)
@@ -97,16 +96,16 @@ def as_url(url: str | Path) -> str:
         raise InvalidInput(
             f"storage must be a path or a URL, got {text!r}; leave it out for memory"
         )
-    return URL.create("sqlite", database=str(from_home(text))).render_as_string(hide_password=False)
+    made = sa.URL.create("sqlite", database=str(from_home(text)))
+    return made.render_as_string(hide_password=False)
 
 
-def _parsed(address: str) -> URL | None:
+def _parsed(address: str) -> sa.URL | None:
     """A URL taken apart; None: it is none, which opening it says in our words."""
-    from sqlalchemy import make_url
-    from sqlalchemy.exc import ArgumentError
+    import sqlalchemy as sa
 
-    with suppress(ArgumentError):
-        return make_url(address)
+    with suppress(sa.exc.ArgumentError):
+        return sa.make_url(address)
     return None
 
 
@@ -139,20 +138,20 @@ def shown(url: str) -> str:
     return url if parsed is None else parsed.render_as_string(hide_password=True)
 
 
-def clock(engine: Engine) -> Any:
+def clock(engine: sa.Engine) -> Any:
     """The time: an expression for a server, whose answer `check_date` is for; of a file, a number.
 
     Raises:
         StorageError: this machine's clock shows no date.
     """
-    from sqlalchemy import Float, extract, func, literal
+    import sqlalchemy as sa
 
     name = engine.dialect.name
     if name == "postgresql":
-        return extract("epoch", func.clock_timestamp()).cast(Float(53))
+        return sa.extract("epoch", sa.func.clock_timestamp()).cast(sa.Float(53))
     if name in ("mysql", "mariadb"):
-        return func.unix_timestamp(func.now(6)).cast(Float(53))
-    return literal(check_date(time.time(), "this machine"), Float(53))
+        return sa.func.unix_timestamp(sa.func.now(6)).cast(sa.Float(53))
+    return sa.literal(check_date(time.time(), "this machine"), sa.Float(53))
 
 
 def check_date(now: float, whose: str) -> float:
@@ -169,25 +168,13 @@ def check_date(now: float, whose: str) -> float:
     )
 
 
-def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
+def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Table]:
     """An engine with the tables of events and of heartbeats; made where they are missing.
 
     Raises:
         StorageError: the database is missing, unreadable or not ours.
     """
-    from sqlalchemy import (
-        Column,
-        Float,
-        Integer,
-        LargeBinary,
-        MetaData,
-        String,
-        Table,
-        Text,
-        create_engine,
-        event,
-    )
-    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+    import sqlalchemy as sa
 
     path = database_file(url)
     if path is not None and path.is_dir():
@@ -207,7 +194,7 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
     # of a server's connections a worker keeps one; its heartbeats may need another for a moment
     pool = {} if path is not None or url.startswith(_FILES) else {"pool_size": 1}
     try:
-        engine = create_engine(url, **pool)
+        engine = sa.create_engine(url, **pool)
     except ModuleNotFoundError as error:
         fix = (
             "run: pip install 'mbtl[cluster]'"
@@ -215,44 +202,44 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
             else f"install the package that gives {error.name}"
         )
         raise MissingExtra(f"the driver of {shown(url)} is not installed; {fix}") from error
-    except (ArgumentError, NoSuchModuleError) as error:
+    except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError) as error:
         raise StorageError(
             f"storage must be a path, or a URL such as postgresql+psycopg://me@host/studies, got "
             f"{shown(url)!r} ({error})"
         ) from error
     if engine.dialect.name == "sqlite":
 
-        @event.listens_for(engine, "connect")
+        @sa.event.listens_for(engine, "connect")
         def _configure(connection: Any, _: Any) -> None:
             # the driver's own transactions start too late to lock before we read
             connection.isolation_level = None
             connection.execute(f"PRAGMA busy_timeout = {int(_BUSY_SECONDS * 1000)}")
             connection.execute("PRAGMA synchronous = FULL")
 
-        @event.listens_for(engine, "begin")
+        @sa.event.listens_for(engine, "begin")
         def _lock(connection: Any) -> None:
             writes = connection.get_execution_options().get(WRITES, False)
             connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
-    table = Table(
+    table = sa.Table(
         "mbtl_events",
-        MetaData(),
-        Column("study", String(200), primary_key=True),
-        Column("seq", Integer, primary_key=True, autoincrement=False),
-        Column("time", Float(53), nullable=False),
-        Column("kind", String(20), nullable=False),
-        Column("data", Text, nullable=False),
-        Column("arrays", LargeBinary(length=2**31 - 1), nullable=False),
-        Column("checksum", String(16), nullable=False),
+        sa.MetaData(),
+        sa.Column("study", sa.String(200), primary_key=True),
+        sa.Column("seq", sa.Integer, primary_key=True, autoincrement=False),
+        sa.Column("time", sa.Float(53), nullable=False),
+        sa.Column("kind", sa.String(20), nullable=False),
+        sa.Column("data", sa.Text, nullable=False),
+        sa.Column("arrays", sa.LargeBinary(length=2**31 - 1), nullable=False),
+        sa.Column("checksum", sa.String(16), nullable=False),
     )
-    heartbeats = Table(
+    heartbeats = sa.Table(
         "mbtl_heartbeats",
         table.metadata,
-        Column("study", String(200), primary_key=True),
-        Column("token", String(64), primary_key=True),
-        Column("expires", Float(53), nullable=False),
-        Column("steps", Float(53)),
-        Column("value", Float(53)),
+        sa.Column("study", sa.String(200), primary_key=True),
+        sa.Column("token", sa.String(64), primary_key=True),
+        sa.Column("expires", sa.Float(53), nullable=False),
+        sa.Column("steps", sa.Float(53)),
+        sa.Column("value", sa.Float(53)),
     )
     writer = engine.execution_options(**{WRITES: create})
     with database_errors(url), writer.begin() as connection:
@@ -263,10 +250,10 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
     return engine, table, heartbeats
 
 
-def _check_table(connection: Connection, table: Table, url: str) -> None:
-    from sqlalchemy import inspect
+def _check_table(connection: sa.Connection, table: sa.Table, url: str) -> None:
+    import sqlalchemy as sa
 
-    if not inspect(connection).has_table(table.name):
+    if not sa.inspect(connection).has_table(table.name):
         raise StorageError(
             f"{shown(url)} is a database without mbtl studies; give the path of a study"
         )
@@ -280,7 +267,7 @@ def database_errors(url: str) -> Iterator[None]:
         Unreachable: the server does not answer.
         StorageError: it refused something.
     """
-    from sqlalchemy.exc import DBAPIError
+    import sqlalchemy as sa
 
     try:
         yield
@@ -288,7 +275,7 @@ def database_errors(url: str) -> Iterator[None]:
         raise StorageError(
             f"{shown(url)} is corrupt ({error}); restore a copy, or start a new study elsewhere"
         ) from error
-    except DBAPIError as error:
+    except sa.exc.DBAPIError as error:
         cause, url = " ".join(str(error.orig).split()), shown(url)
         if _is_away(error, url):
             raise Unreachable(
@@ -311,14 +298,6 @@ def database_errors(url: str) -> Iterator[None]:
         ) from error
 
 
-def exists_already(name: str, storage: object) -> StudyError:
-    """Build the error for a study that was to be a new one."""
-    return StudyError(
-        f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True to go "
-        "on with it, or choose another name"
-    )
-
-
 def _no_file(path: Path) -> StorageError:
     """There is no such database; studies of the folders below may be meant."""
     with suppress(ValueError):  # as people near it say it
@@ -333,11 +312,12 @@ def _no_file(path: Path) -> StorageError:
     return StorageError(f"{said}; give one of those below: {few(below)}")
 
 
-def _is_away(error: DBAPIError, url: str) -> bool:
+def _is_away(error: sa.exc.DBAPIError, url: str) -> bool:
     """True where a server, asked again in a moment, may answer."""
-    from sqlalchemy.exc import InterfaceError, OperationalError
+    import sqlalchemy as sa
 
-    if url.startswith(_FILES) or not isinstance(error, (InterfaceError, OperationalError)):
+    kinds = sa.exc.InterfaceError, sa.exc.OperationalError
+    if url.startswith(_FILES) or not isinstance(error, kinds):
         return False
     lost = error.connection_invalidated or error.statement is None  # or never had
     return lost and not any(words in str(error.orig) for words in _FOR_GOOD)

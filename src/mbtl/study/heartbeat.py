@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from logging import getLogger
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mbtl.errors import MbtlError
@@ -49,12 +48,7 @@ class Keeper:
             self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -17,7 +17,6 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from mbtl.errors import StudyError, few
 from mbtl.study.events import Beat
 from mbtl.study.storage import EventLog
 
@@ -78,18 +77,6 @@ class Watch:
     @cached_property
     def _now(self) -> float:
         return self._log.now()
-
-
-def check_holds(worker: str, leases: Iterable[Lease]) -> None:
-    """Refuse a name under which nothing is held.
-
-    Raises:
-        StudyError: so it is; the message says who holds something.
-    """
-    held = sorted({lease.worker for lease in leases})
-    if worker not in held:
-        who = f"these do: {few(held, 10)}" if held else "nobody does"
-        raise StudyError(f"a worker gives back what it holds, and {worker!r} holds nothing; {who}")
 
 
 def new_token() -> str:

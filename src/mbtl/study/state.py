@@ -191,6 +191,12 @@ class StudyState:
         begun = [*self.open_picks.values(), *(self.picks[f.pick] for f in self.failures)]
         return self.cost + sum(self.usual_cost(pick) for pick in begun)
 
+    @property
+    def cost_left(self) -> float:
+        """Of the cost budget, when all that is committed is paid; infinite where there is none."""
+        budget = self.spec.cost_budget
+        return np.inf if budget is None else budget * (1.0 + 1e-9) - self.committed
+
     def usual_cost(self, pick: PickRecord) -> float:
         """What a pick is expected to cost, in the unit of the cost budget."""
         costs = self.spec.costs

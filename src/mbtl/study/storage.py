@@ -42,7 +42,7 @@ from mbtl.study.database import (
 from mbtl.study.events import KINDS, Beat, Event, Kind
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine
+    import sqlalchemy as sa
 
 T = TypeVar("T")
 
@@ -146,10 +146,10 @@ class Turns(threading.local):
         connection: has the turn of this thread; None: it has none. Its transaction is the turn.
     """
 
-    def __init__(self, engine: Engine, study: str) -> None:
+    def __init__(self, engine: sa.Engine, study: str) -> None:
         self._engine = engine
         self._key = zlib.crc32(f"mbtl {study}".encode("utf-8", "surrogatepass"))
-        self.connection: Connection | None = None
+        self.connection: sa.Connection | None = None
 
     @contextmanager
     def take(self) -> Iterator[None]:
@@ -163,26 +163,25 @@ class Turns(threading.local):
 
     def end(self) -> None:
         """Let the next one begin."""
-        from sqlalchemy.exc import SQLAlchemyError
+        import sqlalchemy as sa
 
         connection, self.connection = self.connection, None
         if connection is not None:
-            with suppress(SQLAlchemyError):
+            with suppress(sa.exc.SQLAlchemyError):
                 connection.close()
 
     def _begin(self) -> None:
         """Whatever goes wrong here goes wrong again, and is said, when something is written."""
-        from sqlalchemy import func, select
-        from sqlalchemy.exc import SQLAlchemyError
+        import sqlalchemy as sa
 
-        wait = select(
-            func.set_config("lock_timeout", _PATIENCE, True),
-            func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
-            func.pg_advisory_xact_lock(self._key),
+        wait = sa.select(
+            sa.func.set_config("lock_timeout", _PATIENCE, True),
+            sa.func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
+            sa.func.pg_advisory_xact_lock(self._key),
         )
         # what others wrote while this one waited is seen
         engine = self._engine.execution_options(isolation_level="READ COMMITTED")
-        with suppress(SQLAlchemyError):
+        with suppress(sa.exc.SQLAlchemyError):
             connection = engine.connect()
             try:
                 connection.execute(wait)
@@ -223,28 +222,27 @@ class SqlLog:
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
-        from sqlalchemy import insert, literal, select
-        from sqlalchemy.exc import IntegrityError
+        import sqlalchemy as sa
 
         t = self._table
         facts: dict[str, Any] = {"kind": event.kind, "data": _text(event), "arrays": _pack(event)}
         row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
         row["checksum"] = checksum_of(after + 1, **facts)
-        values = [literal(row[c.name], c.type) if c is not t.c.time else row["time"] for c in t.c]
+        values = [row["time"] if c is t.c.time else sa.literal(row[c.name], c.type) for c in t.c]
         names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
         dated = row["time"].between(0.0, LATEST)
-        is_last = select(*values).where((self._last() == after) & dated)
-        statement = insert(t).from_select(names, is_last, include_defaults=False)
+        is_last = sa.select(*values).where((self._last() == after) & dated)
+        statement = sa.insert(t).from_select(names, is_last, include_defaults=False)
         statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
 
-        def write(connection: Connection) -> None:
+        def write(connection: sa.Connection) -> None:
             try:
                 if connection.execute(statement).rowcount != 1:
                     self._now(connection)
                     raise taken
-            except IntegrityError as error:  # the primary key: another process was faster
+            except sa.exc.IntegrityError as error:  # the primary key: another process was faster
                 raise taken from error
 
         in_doubt = False
@@ -262,14 +260,14 @@ class SqlLog:
 
     def read(self, after: int = 0) -> Sequence[Event]:
         """Events after number `after`."""
-        from sqlalchemy import select
+        import sqlalchemy as sa
 
         t = self._table.c
-        query = select(t.seq, t.time, t.kind, t.data, t.arrays, t.checksum)
+        query = sa.select(t.seq, t.time, t.kind, t.data, t.arrays, t.checksum)
         query = query.where((t.study == self.study) & (t.seq > after)).order_by(t.seq)
         events: list[Event] = []
 
-        def fetch(connection: Connection) -> None:
+        def fetch(connection: sa.Connection) -> None:
             events.clear()
             for row in connection.execute(query):
                 events.append(_unpack(*row))
@@ -291,27 +289,27 @@ class SqlLog:
         self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
     ) -> None:
         """Write the row of this lease; see `EventLog`."""
-        from sqlalchemy import insert, update
+        import sqlalchemy as sa
 
         t = self._heartbeats
         facts = {"expires": clock(self._engine) + seconds, "steps": steps, "value": value}
         mine = (t.c.study == self.study) & (t.c.token == token)
 
-        def write(connection: Connection) -> None:
-            if not connection.execute(update(t).where(mine).values(**facts)).rowcount:
-                connection.execute(insert(t).values(study=self.study, token=token, **facts))
+        def write(connection: sa.Connection) -> None:
+            if not connection.execute(sa.update(t).where(mine).values(**facts)).rowcount:
+                connection.execute(sa.insert(t).values(study=self.study, token=token, **facts))
 
         self._do(write, writes=True)
 
     def beats(self) -> Mapping[str, Beat]:
         """The rows of this study; see `EventLog`."""
-        from sqlalchemy import select
+        import sqlalchemy as sa
 
         t = self._heartbeats
 
-        def fetch(connection: Connection) -> dict[str, Beat]:
+        def fetch(connection: sa.Connection) -> dict[str, Beat]:
             columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
-            rows = connection.execute(select(*columns).where(t.c.study == self.study))
+            rows = connection.execute(sa.select(*columns).where(t.c.study == self.study))
             return {token: Beat(*facts) for token, *facts in rows}
 
         return self._do(fetch)
@@ -322,18 +320,18 @@ class SqlLog:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _now(self, connection: Connection) -> float:
-        from sqlalchemy import select
+    def _now(self, connection: sa.Connection) -> float:
+        import sqlalchemy as sa
 
-        now = float(connection.execute(select(clock(self._engine))).scalar_one())
+        now = float(connection.execute(sa.select(clock(self._engine))).scalar_one())
         return check_date(now, "the server")
 
     def _last(self) -> Any:
         """Number of the last event, as a part of a statement."""
-        from sqlalchemy import func, select
+        import sqlalchemy as sa
 
         t = self._table.c
-        found = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
+        found = sa.select(sa.func.coalesce(sa.func.max(t.seq), 0)).where(t.study == self.study)
         return found.scalar_subquery()
 
     def _holds(self, row: Mapping[str, Any]) -> bool:
@@ -342,20 +340,20 @@ class SqlLog:
         Events of workers name the token of a lease, so that nobody else writes the same; of those
         that do not, it makes no difference who did.
         """
-        from sqlalchemy import select
+        import sqlalchemy as sa
 
         t = self._table.c
-        query = select(t.kind, t.data, t.arrays)
+        query = sa.select(t.kind, t.data, t.arrays)
         query = query.where((t.study == self.study) & (t.seq == row["seq"]))
         found = self._do(lambda connection: connection.execute(query).one_or_none())
         return found is not None and tuple(found) == (row["kind"], row["data"], row["arrays"])
 
-    def _do(self, work: Callable[[Connection], T], *, writes: bool = False) -> T:
+    def _do(self, work: Callable[[sa.Connection], T], *, writes: bool = False) -> T:
         """What `work` gives in one transaction, which may be done twice."""
         return self.patience.through(lambda: self._try(work, writes=writes, single=not writes))
 
     def _try(
-        self, work: Callable[[Connection], T], *, writes: bool = False, single: bool = False
+        self, work: Callable[[sa.Connection], T], *, writes: bool = False, single: bool = False
     ) -> T:
         """Once; a single statement is a transaction by itself, and needs no words around it."""
         if self._turns.connection is not None:
@@ -370,7 +368,7 @@ class SqlLog:
         return done
 
     def _try_in_turn(
-        self, work: Callable[[Connection], T], connection: Connection, *, writes: bool
+        self, work: Callable[[sa.Connection], T], connection: sa.Connection, *, writes: bool
     ) -> T:
         """Once, in the transaction of a turn; what goes wrong ends it, and may be tried without."""
         try:
@@ -389,11 +387,11 @@ class SqlLog:
 
 def study_names(url: str | Path) -> list[str]:
     """Names of the studies in a database, oldest first."""
-    from sqlalchemy import func, select
+    import sqlalchemy as sa
 
     address = as_url(url)
     engine, table, _ = open_database(address, create=False)
-    query = select(table.c.study).group_by(table.c.study).order_by(func.min(table.c.time))
+    query = sa.select(table.c.study).group_by(table.c.study).order_by(sa.func.min(table.c.time))
     try:
         with database_errors(address), engine.begin() as connection:
             return [str(name) for (name,) in connection.execute(query)]

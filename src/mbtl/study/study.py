@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch
+from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, few
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
@@ -36,7 +36,7 @@ from mbtl.study.closing_report import value_of
 from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
-from mbtl.study.leases import Lease, Presence, Watch, check_holds, new_worker
+from mbtl.study.leases import Lease, Presence, Watch, new_worker
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
@@ -429,8 +429,12 @@ class Study:
         Raises:
             StudyError: it holds nothing.
         """
-        state = self.refresh()
-        check_holds(worker, self.leases)
+        state, holders = self.refresh(), sorted({lease.worker for lease in self.leases})
+        if worker not in holders:
+            who = f"these do: {few(holders, 10)}" if holders else "nobody does"
+            raise StudyError(
+                f"a worker gives back what it holds, and {worker!r} holds nothing; {who}"
+            )
         numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
         for number in numbers:
             self.release(number)
