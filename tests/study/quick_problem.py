@@ -1,11 +1,4 @@
-"""A real problem with a quick trainer: a point mass on a line, policies found by random search.
-
-Run as a program it does what `mbtl run` does: it creates the study or goes on with it.
-"""
-
-import json
-import sys
-from pathlib import Path
+"""A real problem with a quick trainer: a point mass on a line, policies found by random search."""
 
 import numpy as np
 
@@ -13,7 +6,6 @@ import mbtl
 from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
-BUDGET = 6
 STEPS = 40
 
 
@@ -32,7 +24,7 @@ def rollout(gains, mass, starts):
 def train(context, seed):
     rng = np.random.default_rng(seed)
     starts = rng.uniform(-1, 1, (8, 2))
-    candidates = rng.uniform(0, 4, (200, 2))
+    candidates = rng.uniform(0, 4, (60, 2))
     scores = [rollout(gains, context["mass"], starts).mean() for gains in candidates]
     return candidates[int(np.argmax(scores))]
 
@@ -41,7 +33,7 @@ def train_any(contexts, seed, *, start=None, length=None):
     """On several contexts as on their mean; from a policy near it, as much longer as is said."""
     rng = np.random.default_rng(seed)
     starts = rng.uniform(-1, 1, (8, 2))
-    count = round(200 * (1.0 if length is None else length))
+    count = round(60 * (1.0 if length is None else length))
     candidates = rng.uniform(0, 4, (count, 2))
     if start is not None:
         candidates = np.vstack([start, start + rng.normal(0.0, 0.3, (count, 2))])
@@ -68,34 +60,3 @@ def load(folder):
 
 TRAINER = FunctionTrainer(train, evaluate, save, load)
 ANY_TRAINER = FunctionTrainer(train_any, evaluate, save, load)
-
-
-def play(folder, parallel=1):
-    study = mbtl.create_study(
-        SPACE,
-        budget=BUDGET,
-        seed=3,
-        storage=Path(folder) / "study.db",
-        load_if_exists=True,
-    )
-    study.run(trainer=TRAINER, workers=mbtl.Workers(parallel=parallel), progress=False)
-    return study
-
-
-def outcome(folder):
-    """Everything that must not depend on interruptions."""
-    study = mbtl.load_study(folder)
-    rows = study.state.rows
-    return {
-        "picks": [pick.source for pick in study.state.picks],
-        "told": [row.source for row in rows],
-        "returns": [row.returns.tolist() for row in rows],
-        "fresh": [study.state.fresh.served.tolist(), study.state.fresh.alone.tolist()],
-        "policies": [load(Path(folder) / row.policy).tolist() for row in rows],
-        "finished": study.is_finished,
-    }
-
-
-if __name__ == "__main__":
-    play(sys.argv[1])
-    print(json.dumps(outcome(sys.argv[1])))

@@ -1,8 +1,9 @@
-"""Picks of every kind: on one context, several or all; from a policy; longer; only evaluated."""
+"""Picks of every kind, and what they cost: in units, in environment steps, in the user's own."""
 
 from __future__ import annotations
 
-import ast
+import json
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -13,11 +14,14 @@ import quick_problem
 
 import mbtl
 from flat import created, ran
-from mbtl.errors import InvalidInput, StudyError
+from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
-from mbtl.selectors import Proposal, Traits
+from mbtl.selectors import Exhausted, Proposal, Traits
+from mbtl.study.create import EPISODES
+from mbtl.trainers import Progress, Trained, Trainer
 from scripted import Scripted
 
+pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N = 8
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 7.0): N})
 ALL = tuple(range(N))
@@ -47,7 +51,7 @@ def study_of(strategy, budget=4, **settings):
     return created(SPACE, budget=budget, strategy=strategy, bounds=(0.0, 1.0), **settings)
 
 
-def run(study, simulator, **how):
+def simulated(study, simulator, **how):
     return ran(study, simulator.train, simulator.evaluate, **how)
 
 
@@ -56,7 +60,7 @@ def run(study, simulator, **how):
 
 def test_all_contexts_first_and_then_specialists():
     simulator, study = Simulator(), study_of("all-first")
-    result = run(study, simulator)
+    result = simulated(study, simulator)
     assert [len(call[0]) for call in simulator.calls] == [N, 1, 1, 1]
     assert [call[3] for call in simulator.calls] == [1.0, None, None, None]
     first, *others = study.state.rows
@@ -95,7 +99,7 @@ def test_where_no_policy_for_all_can_be_had_there_are_specialists_only(fails):
 def test_one_policy_goes_on_with_its_own_weights(parallel):
     simulator, study = Simulator(), study_of("one-policy", budget=7)
     with_threads = {} if parallel == 1 else {"parallel": 2, "executor": ThreadPoolExecutor(2)}
-    run(study, simulator, report=False, **with_threads)
+    simulated(study, simulator, report=False, **with_threads)
     assert [row.length for row in study.state.rows] == [1.0, 2.0, 4.0, 7.0]
     assert [call[3] for call in simulator.calls] == [1.0, 1.0, 2.0, 3.0]  # how much more
     assert {call[1] for call in simulator.calls} == {training_seed(0, 0, ALL)}
@@ -131,7 +135,7 @@ def test_a_tuned_copy_has_a_seed_of_its_lineage():
     seeds = []
     for order in (copies, copies[::-1]):
         simulator, study = Simulator(), study_of(Scripted((EVERYBODY, *order)), budget=2)
-        run(study, simulator)
+        simulated(study, simulator)
         assert [call[2] and call[2]["wide"] for call in simulator.calls] == [None, N, N]
         assert [call[3] for call in simulator.calls] == [1.0, 0.5, 0.5]
         assert [row.length for row in study.state.rows] == [1.0, 0.5, 0.5]
@@ -141,33 +145,6 @@ def test_a_tuned_copy_has_a_seed_of_its_lineage():
     assert seeds[0] == seeds[1]  # never the pick number
     assert seeds[0][5] != training_seed(0, 0, 5)
     assert len(set(seeds[0].values())) == 3
-
-
-def test_what_goes_on_is_read_back_by_another_process(tmp_path):
-    def save(policy, folder):
-        (folder / "policy").write_text(repr(policy))
-
-    def load(folder):
-        return ast.literal_eval((folder / "policy").read_text())
-
-    simulator, place = Simulator(), tmp_path / "study.db"
-    first = study_of("one-policy", budget=4, storage=place)
-    functions = {"save": save, "load": load, "progress": False, "report": False}
-
-    def until_two(contexts, seed, *, start=None, length=None):
-        if start is not None and start["units"] == 2.0:
-            raise KeyboardInterrupt
-        return simulator.train(contexts, seed, start=start, length=length)
-
-    with pytest.raises(KeyboardInterrupt):
-        ran(first, until_two, simulator.evaluate, **functions)
-    again = mbtl.load_study(place)
-    assert [row.length for row in again.state.rows] == [1.0, 2.0]
-    assert len(again.orphans) == 1
-    ran(again, simulator.train, simulator.evaluate, accept_changes=True, **functions)
-    assert [row.length for row in again.state.rows] == [1.0, 2.0, 4.0]
-    assert again.portfolio(again.trainer or None).sets == {0: ALL, 1: ALL, 2: ALL}
-    assert simulator.calls[-1][2]["units"] == 2.0
 
 
 def test_asked_and_told_by_hand():
@@ -238,7 +215,7 @@ def test_a_policy_that_was_taken_back_is_not_begun_with():
     study.release(study.ask())
     study.void(0, "the simulator was misconfigured")
     with pytest.raises(StudyError, match="begins with a policy that was taken back"):
-        run(study, simulator)
+        simulated(study, simulator)
     study.fail(study.ask(), "its beginning is gone")
     assert not study.state.open_picks
 
@@ -259,3 +236,330 @@ def test_sets_and_what_goes_on_are_trained_in_other_processes(tmp_path):
         assert [row.length for row in rows] == [0.3, 0.5, 1.0]
         assert len(study.portfolio().sets) == 2
     assert found[0] == found[1]
+
+
+UNIT, EPISODE = 1_000, 25
+
+
+@dataclass
+class Walker(Trainer):
+    """Learns by momentum, which is its state; notes each step that it really makes.
+
+    A policy is what it weighs, where it is at home and how many contexts it is for.
+    """
+
+    made: dict = field(default_factory=lambda: dict.fromkeys(("train", "play"), 0))
+    begun: list = field(default_factory=list)
+    breaks: object = None
+    looks: object = None
+    lock: object = field(default_factory=threading.Lock)
+
+    takes = frozenset({"sets", "start", "length", "state"})
+    whole = UNIT
+
+    def note(self, what, steps):
+        with self.lock:
+            self.made[what] += steps
+
+    def train(
+        self, contexts, seed, *, start=None, length=None, done=0.0, state=None,
+        on_progress=None,
+    ):  # fmt: skip
+        """A hundred steps at a time."""
+        until = round(10 * (1.0 if length is None else length))
+        begun, had, weight, momentum = "scratch", 0, seed % 89, 0.0
+        if start is not None:
+            begun, had, weight = "weights", round(10 * done), start["weight"]
+        if state is not None and state.exists():
+            begun, (had, weight, momentum) = "state", json.loads(state.read_text())
+        self.begun.append(begun)
+        for one in range(had, until):
+            momentum = 0.9 * momentum + 1.0
+            weight += momentum
+            self.note("train", UNIT // 10)
+            if on_progress is not None:
+                on_progress(Progress((one + 1) * UNIT // 10, until * UNIT // 10))
+            if self.breaks is not None and self.breaks(contexts, one):
+                raise FloatingPointError("diverged")
+        if state is not None:
+            state.write_text(json.dumps([until, weight, momentum]))
+        home = float(np.mean([c["x"] for c in contexts]))
+        policy = {"weight": weight, "home": home, "wide": len(contexts)}
+        return Trained(policy, until * UNIT // 10)
+
+    def evaluate_steps(self, policy, contexts, seeds):
+        if self.looks is not None:
+            self.looks()
+        returns = [1.0 - 0.1 * abs(c["x"] - policy["home"]) / policy["wide"] for c in contexts]
+        self.note("play", 2 * EPISODE * len(contexts))
+        return np.tile(np.array(returns)[:, None], 2), np.full((len(contexts), 2), EPISODE)
+
+    def evaluate(self, policy, contexts, seeds):
+        return self.evaluate_steps(policy, contexts, seeds)[0]
+
+    def save(self, policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+        return True
+
+    def load(self, folder):
+        return json.loads((folder / "policy.json").read_text())
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """All contexts, then in turns longer, a tuned copy, and one alone."""
+
+    name: str = "mixed"
+    traits = Traits(any_training=True)
+
+    def propose(self, problem, history, rng):
+        asked = [one for one in history.asked if one.length]
+        everyone = next((i for i in range(len(history)) if history.made(i).contexts == ALL), None)
+        if not asked:
+            return Proposal(3, "all", length=0.5, sources=ALL)
+        if everyone is None:
+            raise Exhausted("all that is left begins with the policy for all")
+        which = len(asked) % 3
+        last = max(
+            (i for i in range(len(history)) if history.made(i).contexts == ALL),
+            key=lambda i: history.made(i).length,
+        )
+        busy = any(one.contexts == ALL for one in history.under_way)
+        if which == 0 and not busy:
+            longer = history.made(last).length + 0.4
+            return Proposal(3, "longer", start=last, length=longer, sources=ALL)
+        taken = {one.contexts for one in asked}
+        free = [c for c in range(N) if (c,) not in taken]
+        if not free:
+            raise Exhausted("every context had its turn")
+        return Proposal(free[0], "one", start=everyone if which == 1 else None, length=0.3)
+
+
+def in_steps(total, strategy="mixed", **settings):
+    given = Mixed() if strategy == "mixed" else strategy
+    budget = mbtl.Steps(total, unit=UNIT, horizon=EPISODE)
+    return created(SPACE, budget=budget, strategy=given, bounds=(0.0, 1.0), **settings)
+
+
+def run(study, trainer, parallel=1, **how):
+    with ThreadPoolExecutor(2) as pool:
+        how |= {"parallel": parallel, "executor": pool}
+        return ran(study, trainer=trainer, report=False, rehearse=False, **how)
+
+
+# ---- budgets in steps ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("strategy", "parallel"),
+    [("mixed", 1), ("mixed", 2), ("all-first", 2), ("one-policy", 1), ("random", 2)],
+)
+def test_the_bill_is_what_was_played_and_stays_within_the_budget(strategy, parallel):
+    total, trainer = 6_000, Walker()
+    study = in_steps(total, strategy)
+    run(study, trainer, parallel)
+    bill = study.state.bill()
+    assert bill.training + bill.extension == trainer.made["train"]
+    assert bill.evaluation == trainer.made["play"]
+    assert bill.total == sum(trainer.made.values())
+    assert bill.failed == bill.under_way == 0.0
+    assert bill.total <= total
+    assert study.is_finished
+    assert (bill.extension > 0.0) == (strategy in ("mixed", "one-policy"))
+
+
+@pytest.mark.parametrize("parallel", [1, 2])
+def test_the_last_steps_are_for_a_few_targets(parallel):
+    each, row = 2 * EPISODE, N * 2 * EPISODE
+    study, trainer = in_steps(2 * (UNIT + row) + UNIT + 3 * each + 1, "random"), Walker()
+    run(study, trainer, parallel)
+    counts = [int(np.isfinite(row.returns).sum()) for row in study.state.rows]
+    assert sorted(counts) == [3, N, N]
+    assert study.state.bill().total == study.spec.steps - 1
+    assert study.is_finished
+    assert "3 targets" not in (study.stop_reason or "")
+    assert f"of the budget of {study.spec.steps:,} steps 1 are left" in study.stop_reason
+    study.extend(mbtl.Steps(study.spec.steps + UNIT + row))
+    assert not study.is_finished
+    run(study, trainer)
+    assert len(study.state.rows) == 4
+    assert study.state.bill().total <= study.spec.steps
+
+
+@pytest.mark.parametrize("strategy", ["all-first", "one-policy", "random"])
+def test_whatever_is_left_at_the_end_a_study_ends(strategy):
+    for total in range(1_150, 4_500, 633):
+        study, trainer = in_steps(total, strategy), Walker()
+        run(study, trainer)
+        assert study.is_finished, total
+        assert study.state.bill().total == sum(trainer.made.values())
+        assert study.state.bill().total <= total + UNIT // 10  # a length is rounded up
+
+
+def test_a_budget_in_steps_is_raised_in_steps_and_only_raised():
+    study = in_steps(5_000, "random")
+    for wrong in (mbtl.Steps(5_000), 9, mbtl.Steps(10)):
+        with pytest.raises(InvalidInput, match="can only be raised, and counts what it counted"):
+            study.extend(wrong)
+    with pytest.raises(InvalidInput, match="counts what it counted before"):
+        created(SPACE, budget=3).extend(mbtl.Steps(10**6))
+    study.extend(mbtl.Steps(7_000))
+    assert (study.spec.steps, study.spec.budget) == (7_000, 7)
+
+
+def test_failures_are_paid_each_try_of_them():
+    trainer = Walker(breaks=lambda contexts, one: contexts[0]["x"] == 4.0 and one == 2)
+    study = in_steps(20_000, "random")
+    run(study, trainer, retries=1)
+    bill = study.state.bill()
+    assert [failure.source for failure in study.state.failures] == [4]
+    assert bill.failed == 2 * 300  # the third tenth, twice
+    assert bill.training + bill.failed == trainer.made["train"]
+    trainer.breaks = None
+    run(study, trainer, retry_failed=True)
+    again = study.state.bill()
+    assert again.failed == bill.failed  # that it is done at last gives nothing back
+    assert again.training + again.failed == trainer.made["train"]
+    study.void(0, "the simulator was misconfigured")
+    assert study.state.bill().total == again.total
+    trainer = Walker(breaks=lambda contexts, one: len(contexts) > 1 and one == 6)
+    study = in_steps(3_000)  # of an extension what is beyond the 500 that are paid for, to 700
+    run(study, trainer)
+    bill = study.state.bill()
+    assert bill.failed == 200
+    assert bill.training + bill.extension + bill.failed == trainer.made["train"]
+
+
+@pytest.mark.parametrize("whole", [{}, {"horizon": EPISODE}, {"unit": UNIT}])
+def test_functions_need_the_unit_and_the_longest_episode(whole):
+    with pytest.raises(InvalidInput, match=r"give Steps\(total, (unit|horizon)=<steps>\)"):
+        created(SPACE, budget=mbtl.Steps(5_000, **whole))
+
+
+def test_functions_are_paid_by_their_reports_or_by_units():
+    def train(contexts, seed, *, start=None, length=None, on_progress=None):
+        if on_progress is not None and len(contexts) > 1:
+            on_progress(Progress(round(900 * length), 1_000))  # of this call
+        return {"home": 3.0, "wide": 8, "length": length}
+
+    walker, study = Walker(), in_steps(60_000)
+    ran(study, train, walker.evaluate, report=False)
+    longer = [row for row in study.state.rows if row.goes_on]
+    assert [row.steps for row in longer] == pytest.approx(
+        [450 + 360 * (i + 1) for i in range(len(longer))]
+    )
+    bill = study.state.bill()
+    assert bill.extension == pytest.approx(360 * len(longer))
+    alone = [row for row in study.state.rows if len(row.sources) == 1]
+    assert bill.training == pytest.approx(450 + 300 * len(alone))  # nothing was reported: 0.3 units
+    assert bill.evaluation == len(study.state.rows) * N * EPISODE * EPISODES  # at most
+    assert study.stop_reason == "every context had its turn"
+
+
+def test_further_evaluations_are_paid_once_and_change_no_price():
+    class Further:
+        name, traits = "further", Traits(any_training=True)
+
+        def propose(self, problem, history, rng):
+            if not len(history):
+                return Proposal(3, "all", length=1.0, sources=ALL, targets=(0, 7))
+            missing = np.flatnonzero(np.isnan(history.rows[0]))
+            if not missing.size:
+                raise Exhausted("that is all")
+            targets = tuple(missing[:2].tolist())
+            return Proposal(3, "further", start=0, length=0.0, sources=ALL, targets=targets)
+
+    trainer, study = Walker(), in_steps(10_000, Further())
+    run(study, trainer)
+    assert study.stop_reason == "that is all"
+    assert study.is_finished
+    (row,) = study.state.rows
+    truth = trainer.evaluate(study.portfolio(trainer).policy(0), SPACE.contexts, [0] * N)
+    np.testing.assert_allclose(row.returns, truth.mean(axis=1))
+    assert [pick.price for pick in study.state.picks] == [1.0, 0.0, 0.0, 0.0]
+    trainer.made["play"] //= 2  # the truth was played, too
+    assert study.state.bill().evaluation == trainer.made["play"] == N * 2 * EPISODE
+    assert study.state.target_steps == 2 * EPISODE
+    assert [one.state for one in study.trainings] == ["done"] * 4
+
+
+# ---- the state of a training --------------------------------------------------------------------
+
+
+def weights_of(study, trainer, length):
+    row = next(row for row in study.state.rows if row.length == length)
+    return trainer.load(study.artifacts.read(row.policy, row.sha256))["weight"]
+
+
+@pytest.mark.parametrize(
+    ("artifacts", "lost"),
+    [(None, "nothing"), (None, "state"), (None, "changed"), ("memory://test-budget", "nothing")],
+)
+def test_a_training_goes_on_exactly_or_with_its_weights(tmp_path, artifacts, lost):
+    if artifacts is not None:
+        pytest.importorskip("fsspec")
+    settings = {"storage": tmp_path / "s.db", "artifacts": artifacts}
+    trainer = Walker()
+    run(created(SPACE, budget=1, strategy="one-policy", **settings), trainer)
+    study = mbtl.load_study(**settings)
+    (row,) = study.state.rows
+    assert row.state is not None
+    file = study.artifacts.read(row.state) / "state"
+    if lost == "state":
+        file.unlink()
+    elif lost == "changed":
+        file.write_text(json.dumps([3, 1e9, 1e9]))
+    study.extend(2)
+    run(study, trainer)
+    assert trainer.begun == ["scratch", "state" if lost == "nothing" else "weights"]
+    at_once = trainer.train(SPACE.contexts, study.pick(0).seed, length=2.0).policy["weight"]
+    found = weights_of(study, trainer, 2.0)
+    assert (found == at_once) == (lost == "nothing")
+    second = study.state.rows[1]
+    assert second.steps == 2 * UNIT
+    assert study.pick(0).seed == study.pick(1).seed
+    if lost != "nothing":  # from its weights, the momentum is gone
+        momentum = [10.0 * (1.0 - 0.9 ** (i + 1)) for i in range(10)]
+        assert found == pytest.approx(weights_of(study, trainer, 1.0) + sum(momentum))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_policy_that_was_not_evaluated_keeps_its_bill_and_its_state(tmp_path, error):
+    trainer = Walker()
+    run(created(SPACE, budget=1, strategy="one-policy", storage=tmp_path / "s.db"), trainer)
+
+    def fails():
+        raise error("no display")
+
+    study = mbtl.load_study(tmp_path / "s.db")
+    study.extend(2)
+    with pytest.raises((KeyboardInterrupt, TrainingFailed)):
+        run(study, Walker(looks=fails), stop_after_failures=1)
+    assert len(study.refresh().deferred) == (error is RuntimeError)
+    again = mbtl.load_study(tmp_path / "s.db")
+    run(again, trainer)
+    row = again.state.rows[1]
+    assert (row.length, row.steps) == (2.0, 2 * UNIT)
+    assert not again.state.deferred
+    again.extend(4)
+    run(again, trainer)
+    assert trainer.begun == ["scratch", "state"]  # and not trained again meanwhile
+    whole = trainer.train(SPACE.contexts, again.pick(0).seed, length=4.0).policy["weight"]
+    assert weights_of(again, trainer, 4.0) == whole
+
+
+# ---- costs --------------------------------------------------------------------------------------
+
+
+def test_a_cost_pays_for_lengths_and_for_the_mean_of_a_set():
+    costs = np.arange(1.0, N + 1.0)
+    budget = mbtl.Cost(11.0, costs, trainings=6)
+    study = mbtl.create_study(SPACE, budget=budget, strategy=Mixed())
+    run(study, Walker())
+    assert [row.cost for row in study.state.rows][:2] == [0.5 * 4.5, 0.3 * costs[0]]
+    assert study.state.cost == pytest.approx(
+        sum(pick.price * costs[list(pick.sources)].mean() for pick in study.state.picks)
+    )
+    assert study.state.committed <= 11.0
+    assert study.is_finished
+    assert study.stop_reason.startswith("of the cost budget of 11 ")

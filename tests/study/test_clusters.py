@@ -20,6 +20,13 @@ pytestmark = [
 PROGRAM = "from mbtl.cli import program; program()"
 
 
+@pytest.fixture(autouse=True)
+def importable(monkeypatch):
+    """What is here, by processes that others start."""
+    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
+
+
 class Deadly:
     """The first training takes its process with it."""
 
@@ -33,10 +40,8 @@ class Deadly:
         return quick_problem.train(context, seed)
 
 
-def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path, monkeypatch):
+def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path):
     distributed = pytest.importorskip("distributed")
-    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
     trainer = FunctionTrainer(
         Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
     )
@@ -70,8 +75,6 @@ def test_submitit_starts_workers_and_they_end_the_study(tmp_path, monkeypatch):
     submitit = pytest.importorskip("submitit")
     (tmp_path / "mine.py").write_text(PROBLEM)
     monkeypatch.chdir(tmp_path)
-    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
     study = created(
         quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db",
         problem="quick", settings={"switches": {}},

@@ -1,20 +1,20 @@
+"""The event log and its database: what is stored, refused, and listed."""
+
 import resource
 import sqlite3
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from line_problem import line
+from line_problem import TRAINER, line
 
 import mbtl
 from flat import created
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import Event
-from mbtl.study.storage import Conflict, MemoryLog, SqlLog, study_names
+from mbtl.study.storage import MemoryLog, SqlLog, study_names
 from mbtl.testing.storage import EventLogContract
 
 SPACE = line(5)
-SETTINGS = {"budget": 3, "strategy": "random", "load_if_exists": True}
 
 
 class TestLogs(EventLogContract):
@@ -30,24 +30,6 @@ def test_one_database_holds_many_studies(tmp_path):
         log.append(Event("created", {"name": name}), after=0)
     assert study_names(tmp_path / "s.db") == ["first", "second"]
     assert SqlLog(tmp_path / "s.db", "second").read()[0].data == {"name": "second"}
-
-
-def test_many_writers_never_share_a_number(tmp_path):
-    SqlLog(tmp_path / "s.db", "a", create=True)
-    written = []
-
-    def write(worker):
-        log, done = SqlLog(tmp_path / "s.db", "a"), 0
-        while done < 10:
-            try:
-                written.append(log.append(Event("asked", {"w": worker}), after=len(log.read())))
-                done += 1
-            except Conflict:
-                continue
-
-    with ThreadPoolExecutor(4) as threads:
-        list(threads.map(write, range(4)))
-    assert sorted(written) == list(range(1, 41))
 
 
 def test_what_is_no_database_of_ours_is_named(tmp_path):
@@ -124,3 +106,47 @@ def test_a_clock_that_shows_no_date_is_refused_before_anything_is_written(tmp_pa
         monkeypatch.undo()
     assert len(mbtl.load_study(tmp_path / "s.db").log.read()) == before
     study.tell(pick, np.zeros(5))
+
+
+def study_at(folder, name, **settings):
+    settings = {"budget": 2, "bounds": (0.0, 1.0), "strategy": "equidistant", **settings}
+    return created(SPACE, storage=folder / "study.db", name=name, **settings)
+
+
+def test_studies_of_one_database_are_listed(tmp_path):
+    run, begun = study_at(tmp_path, "run", problem="mass"), study_at(tmp_path, "begun")
+    run.run(trainer=TRAINER, progress=False, report=False)
+    for place in (tmp_path, tmp_path / "study.db"):
+        first, second = mbtl.study.list_studies(place)
+        assert (first.name, first.problem, first.told, first.budget) == ("run", "mass", 2, 2)
+        assert (first.value, first.stop_reason) == (run.value, run.stop_reason)
+        assert (second.name, second.told, second.value) == ("begun", 0, None)
+    for name, said in ((None, "holds 2 studies"), ("beg", "Did you mean 'begun'")):
+        with pytest.raises(mbtl.errors.InvalidInput, match=said):
+            mbtl.load_study(tmp_path, name)
+    assert not begun.state.picks
+
+
+def test_a_driver_that_is_missing_is_named_with_its_fix(monkeypatch):
+    def missing(*args, **kwargs):
+        raise ModuleNotFoundError("No module named 'psycopg'", name="psycopg")
+
+    monkeypatch.setattr("sqlalchemy.create_engine", missing)
+    with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[cluster\]'") as caught:
+        mbtl.load_study("postgresql+psycopg://me:secret@host/x")
+    assert "secret" not in str(caught.value)
+
+
+def test_a_folder_without_a_database_names_the_studies_below(tmp_path):
+    (tmp_path / "a").mkdir()
+    study_at(tmp_path / "a", "one")
+    with pytest.raises(mbtl.StorageError, match=r"one of those below: .*/a$"):
+        mbtl.load_study(tmp_path)
+
+
+def test_a_larger_budget_is_known_to_be_raised(tmp_path):
+    study_at(tmp_path, "one")
+    study = study_at(tmp_path, "one", budget=4, load_if_exists=True)
+    assert (study.spec.budget, study.state.first_budget) == (4, 2)
+    study.extend(5)
+    assert mbtl.load_study(tmp_path).state.first_budget == 2
