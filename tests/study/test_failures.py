@@ -14,22 +14,20 @@ from flat import created, ran
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.study import Callback
-from mbtl.trainers import Trained
+from mbtl.trainers import Trained, Trainer
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N = 9
 SPACE = line(N)
 
 
-class Bench:
+class Bench(Trainer):
     """A trainer that counts, and breaks where it is told to."""
 
-    policy_format = "custom"
     recipe = {"trainer": "bench"}  # noqa: RUF012
-    takes, whole, counts = frozenset(), None, "steps"
 
     def __init__(self, train=None, evaluate=None, load=None, save=None, saves=True):
-        self.trained, self.evaluated, self.loaded = [], [], []
+        self.trained, self.evaluated = [], []
         self.breaks = {"train": train, "evaluate": evaluate, "load": load, "save": save}
         self.saves = saves
 
@@ -53,7 +51,6 @@ class Bench:
         return self.saves
 
     def load(self, folder):
-        self.loaded.append(folder.name)
         self._break("load", folder)
         return float((folder / "policy.txt").read_text())
 

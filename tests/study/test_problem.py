@@ -162,7 +162,7 @@ def test_a_run_that_joins_is_told_so(tmp_path, capsys):
     assert np.isfinite(study.value)
 
 
-OWN = """
+MODULE = """
 import numpy as np
 import mbtl
 GAIN = {gain}
@@ -185,7 +185,7 @@ def edited(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def edit(gain=1.0, score="1 - GAIN * abs(x - at)", comment=""):
-        text = OWN.format(gain=gain, score=score, comment=comment)
+        text = MODULE.format(gain=gain, score=score, comment=comment)
         (tmp_path / "own.py").write_text(text)
         sys.modules.pop("own", None)
         importlib.invalidate_caches()
