@@ -131,7 +131,7 @@ NOT_PUBLIC = {
     ),
     "processes and threads are counted and ended by one rule": (
         "processes.native_threads processes.threads_for processes.usable_cores "
-        "processes.worker_pool"
+        "processes.separate_workers"
     ),
     "the provenance of matrices compares settings and names the version": (
         "settings.first_difference version.__version__"
