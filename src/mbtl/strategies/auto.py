@@ -5,8 +5,9 @@ bring:
 
     all contexts, longer    the gain of the last doubling, a little less of it
     a copy, tuned on x      what a chooser of contexts expects of copies so far, their rows taken
-                            relative to their parent's
-    x alone, from scratch   what the same chooser expects of specialists so far
+                            relative to their parent's; and what the last copies brought
+    x alone, from scratch   what the same chooser expects of specialists so far, and what the last
+                            ones brought
 
 Both choosers know what the other policies are worth (`History.others`). Before the first copy, and
 the first specialist, a share of the headroom stands for what it brings. What the trainer cannot do
@@ -66,6 +67,7 @@ class Kind(NamedTuple):
         known: likewise, those so far.
         units: what one costs.
         usual: gain in V that is usual.
+        brought: gain in V of the last ones, on average; 0 before the first.
         most: gain in V that is to be expected at most.
         start: row of the policy it begins with.
         length: units that are asked for.
@@ -76,6 +78,7 @@ class Kind(NamedTuple):
     known: History
     units: float
     usual: float
+    brought: float
     most: float
     start: int | None = None
     length: float | None = None
@@ -158,7 +161,8 @@ class Auto:
                 continue
             done, gain = len(kind.known), kind.usual
             if chosen.acquisition is not None:
-                gain = (self.doubt * gain + done * chosen.acquisition) / (self.doubt + done)
+                expected = (chosen.acquisition + kind.brought) / 2.0
+                gain = (self.doubt * gain + done * expected) / (self.doubt + done)
             gain = min(gain, kind.most) * (done + 1.0) / (done + len(kind.known.failed) + 1.0)
             proposal = replace(
                 chosen,
@@ -226,17 +230,17 @@ class Auto:
         expected = self._expected(self.fresh_share * standing.usual, known, standing.added[rows])
         return Kind("from scratch", standing.alone, known, 1.0, *expected)
 
-    def _expected(self, usual: float, known: History, added: Array) -> tuple[float, float]:
-        """Gain that is usual of the next one of a kind, and the most that is to be expected of it.
+    def _expected(self, usual: float, known: History, added: Array) -> tuple[float, float, float]:
+        """Gain that is usual of the next one of a kind, that of the last ones, and the most.
 
-        That is what the last ones `added` to V, for the best comes first. While the first one is
-        under way, which will show what the kind is worth, another one is worth less.
+        The most is what the last ones `added` to V, for the best comes first. While the first one
+        is under way, which will show what the kind is worth, another one is worth less.
         """
         if not len(known):
             usual /= 1.0 + len(known.pending)
         last = added[-_LAST:]
         most = (self.doubt * usual + last.sum()) / (self.doubt + len(last))
-        return usual, float(most)
+        return usual, float(last.mean()) if len(last) else 0.0, float(most)
 
 
 @dataclass(frozen=True)
