@@ -150,3 +150,19 @@ def test_a_larger_budget_is_known_to_be_raised(tmp_path):
     assert (study.spec.budget, study.state.first_budget) == (4, 2)
     study.extend(5)
     assert mbtl.load_study(tmp_path).state.first_budget == 2
+
+
+def test_a_study_is_deleted_with_its_policies_unless_somebody_runs_it(tmp_path):
+    kept, gone = study_at(tmp_path, "kept"), study_at(tmp_path, "gone")
+    for study in (kept, gone):
+        study.run(trainer=TRAINER, progress=False, report=False)
+    policies = [tmp_path / "policies" / study.state.uid for study in (kept, gone)]
+    assert [place.is_dir() for place in policies] == [True, True]
+    with pytest.raises(InvalidInput, match="holds 2 studies"):
+        mbtl.study.delete_study(tmp_path)
+    mbtl.study.delete_study(tmp_path, "gone")
+    assert study_names(tmp_path / "study.db") == ["kept"]
+    assert [place.is_dir() for place in policies] == [True, False]
+    study_at(tmp_path, "open").ask(lease=60.0)
+    with pytest.raises(mbtl.StudyError, match="is run by"):
+        mbtl.study.delete_study(tmp_path, "open")

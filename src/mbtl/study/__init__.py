@@ -4,7 +4,7 @@ from mbtl.study.artifacts import Artifact, ArtifactStore
 from mbtl.study.budget import Cost, Steps
 from mbtl.study.callbacks import Callback
 from mbtl.study.create import Evaluation, Stopping, create_study, load_study
-from mbtl.study.listing import StudyEntry, list_studies
+from mbtl.study.listing import StudyEntry, delete_study, list_studies
 from mbtl.study.records import Pick, StudyFinished
 from mbtl.study.runner import Failures, RunResult, Workers
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
@@ -32,6 +32,7 @@ __all__ = [
     "Trainings",
     "Workers",
     "create_study",
+    "delete_study",
     "list_studies",
     "load_study",
     "study_names",

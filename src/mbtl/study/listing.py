@@ -1,4 +1,4 @@
-"""Studies of one database: which there are, and how each is going."""
+"""Studies of one database: which there are, and taking one away."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from pathlib import Path
 
 from mbtl.errors import InvalidInput, StudyError, unknown_name
 from mbtl.files import from_home
-from mbtl.study.ask import is_finished, stop_reason
+from mbtl.study.artifacts import FolderStore, policy_store
+from mbtl.study.ask import is_finished, others, stop_reason
 from mbtl.study.checks import replay
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import (
+    WRITES,
+    as_url,
     check_path,
+    database_errors,
+    database_file,
     fixed_url,
+    open_database,
     shown,
 )
+from mbtl.study.leases import Presence, Watch
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -68,6 +75,52 @@ def list_studies(storage: str | Path) -> list[StudyEntry]:
     """
     address = database_at(storage)
     return [entry_of(address, name) for name in study_names(address)]
+
+
+def delete_study(
+    storage: str | Path,
+    name: str | None = None,
+    *,
+    artifacts: str | Path | None = None,
+    keep_policies: bool = False,
+) -> None:
+    """Remove a study from its database for ever, and the folder of its policies.
+
+    Args:
+        storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
+        name: name of the study; needed only when the storage holds several.
+        artifacts: where its policies are, as it was given to `create_study`.
+        keep_policies: leave them; those in an object store are never removed.
+
+    Raises:
+        StorageError: no database there, or it cannot be written.
+        StudyError: there is none, or somebody runs it just now.
+        InvalidInput: there are several and no name is given, or none has that name.
+    """
+    from sqlalchemy import delete
+
+    address = database_at(storage)
+    name = chosen_name(address, name)
+    log = SqlLog(address, name)
+    state = replay(log.read())
+    watch = Watch(log, Presence(database_file(address)).is_gone)
+    # leases without end are those of ask and tell, whose programs may be long gone
+    if held := others(state, watch, "", for_ever=False):
+        raise StudyError(
+            f"a study that is run is not deleted, and {name!r} is run by {', '.join(held)}; end "
+            "that first, or wait until its leases have ended"
+        )
+    store = policy_store(address, artifacts)
+    engine, table, heartbeats = open_database(as_url(address), create=False)
+    try:
+        writer = engine.execution_options(**{WRITES: True})
+        with database_errors(address), writer.begin() as connection:
+            for one in (table, heartbeats):
+                connection.execute(delete(one).where(one.c.study == name))
+    finally:
+        engine.dispose()
+    if isinstance(store, FolderStore) and not keep_policies:
+        store.remove(f"policies/{state.uid}")
 
 
 def database_at(storage: str | Path) -> str:
