@@ -90,13 +90,13 @@ class Simulator:
 
 
 def test_a_live_study_says_in_each_line_what_is_trained_and_why():
-    simulator = Simulator()
+    simulator = Simulator(slow=0.1)
     study = created(SPACE, budget=8, strategy=Auto(), bounds=(0.0, 1.0))
     study.run(simulator.train, simulator.evaluate, progress=False)
     reasons = [pick.reason for pick in study.state.picks]
     assert reasons[0] == "all contexts first"
     assert reasons[1] == "all contexts, longer"
-    assert reasons[2] == "all contexts, longer: the last doubling added 0.100"
+    assert reasons[2] == "all contexts, longer: the last doubling added 0.045"
     assert any(reason.startswith("a copy of the policy for all: ") for reason in reasons)
     assert study.state.paid == pytest.approx(8.0)
     assert study.value > 0.6

@@ -3,7 +3,7 @@
 Three kinds of trainings compete at every pick, by the gain in V per unit that each is expected to
 bring:
 
-    all contexts, longer    the gain of the last doubling, a little less of it
+    all contexts, longer    the gain of the last doubling
     a copy, tuned on x      what a chooser of contexts expects of copies so far, their rows taken
                             relative to their parent's; and what the last copies brought
     x alone, from scratch   what the same chooser expects of specialists so far, and what the last
@@ -92,7 +92,6 @@ class Auto:
         chooser: of contexts, for specialists and for copies.
         first: units after which the policy for all is looked at for the first time.
         copy: units of a copy.
-        slows: gain of a doubling, as a share of that of the one before.
         double_share: gain that is usual of a doubling, as a share of the headroom.
         copy_share, fresh_share: gain of the first copy and of the first specialist per unit, as a
             share of the headroom.
@@ -103,7 +102,6 @@ class Auto:
     chooser: Selector = field(default_factory=Specialists)
     first: float = 0.5
     copy: float = 0.5
-    slows: float = 0.6
     double_share: float = 0.2
     copy_share: float = 0.1
     fresh_share: float = 0.1
@@ -193,7 +191,7 @@ class Auto:
             if seen:
                 last, error = standing.doublings[-1]
                 reason += f": the last doubling added {last:.3f}"
-                rise = (self.doubt * rise + seen * self.slows * last) / (self.doubt + seen)
+                rise = (self.doubt * rise + seen * last) / (self.doubt + seen)
                 scatter = max(abs(last) / 2.0, error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
             in_all = rise * np.log2((made.length + standing.left) / made.length)
