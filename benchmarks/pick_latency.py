@@ -59,7 +59,9 @@ def timed_fit(points: Array, y: Array, settings: GPSettings, *, watch: Stopwatch
     """As `fit_gp`, charged."""
     with watch.of("fit"):
         gp = fit_gp(points, y, settings)
-    return TimedGP(gp.points, gp.y, gp.amplitude, gp.length, gp.noise_variance, gp.notes, watch)
+    return TimedGP(
+        gp.points, gp.y, gp.amplitude, gp.length, gp.noise_variance, gp.notes, gp.mean, watch
+    )
 
 
 class Picks:
