@@ -24,7 +24,7 @@ class Matrix(Protocol):
     def space(self) -> ContextSpace: ...  # noqa: D102
 
     @property
-    def sources(self) -> Any: ...  # noqa: D102
+    def trained(self) -> Any: ...  # noqa: D102
 
     @property
     def n(self) -> int: ...  # noqa: D102
@@ -68,7 +68,7 @@ def matrix(
             f"mbtl.plot.matrix(mbtl.{opened})"
         )
     ax = axes_for(ax, 4.6, 3.9)
-    sources = np.arange(matrix.n) if matrix.sources is None else matrix.sources
+    sources = matrix.trained
     line = matrix.space.d == 1 and matrix.space.unit.shape[1] == 1
     axis = matrix.space.axes[0]
     x = np.arange(matrix.n, dtype=np.float64)

@@ -125,6 +125,11 @@ def test_the_command_builds_the_kinds_asked_for_in_their_folder(tmp_path, monkey
     data = load_transfers("pendulum-length", folder="matrices/transfers")
     assert (list(data.generalists), data.tuned) == ([1.0], {})
     assert "--kinds generalists,specialists --until 1.0" in data.provenance[0]["command"]
+    longer = CliRunner().invoke(app, [*given.split(), *own.split(), "generalists", "--until", "2"])
+    assert longer.exit_code == 0
+    longer = load_transfers("pendulum-length", folder="matrices/transfers")
+    assert list(longer.generalists) == [1.0, 2.0]
+    np.testing.assert_array_equal(longer.generalists[1.0], data.generalists[1.0])
 
 
 @pytest.mark.long

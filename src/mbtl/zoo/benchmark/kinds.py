@@ -325,7 +325,7 @@ class Kinds:
         Kept are (marks, P, N, 3): the means of both halves of the episodes, and the deviation.
         """
         file = self._returns(part)
-        if file.is_file():
+        if self._is_evaluated(part):
             return
         actors = [self._actor(part, mark) for mark in part.marks]
         lanes = [lane for _ in part.marks for lane in part.lanes]
@@ -371,6 +371,11 @@ class Kinds:
     def _returns(self, part: Part) -> Path:
         return self.folder / f"{part.name}-returns.npz"
 
+    def _is_evaluated(self, part: Part) -> bool:
+        """Whether it was, up to its last mark: a build may have been shorter at first."""
+        file = self._returns(part)
+        return file.is_file() and len(_entry(file, "returns")) >= len(part.marks)
+
     # ---- the whole ---------------------------------------------------------------------------
 
     def run(
@@ -410,7 +415,7 @@ class Kinds:
         found = list[Part]()
         for _, some in groupby(self.parts(), lambda part: part.asked):
             parts = list(some)
-            if all(self._returns(part).is_file() for part in parts):
+            if all(self._is_evaluated(part) for part in parts):
                 found += parts
         return found
 
@@ -443,7 +448,7 @@ class Kinds:
         parents = sorted({part.parent for part in parts if part.parent})
         found: dict[tuple[int, int], dict[str, list[Any]]] = {}
         for part in parts:
-            returns = _entry(self._returns(part), "returns")
+            returns = _entry(self._returns(part), "returns")[: len(part.marks)]
             for i, lane in enumerate(part.lanes):
                 own = found.setdefault(lane[:2], {})
                 own.setdefault(part.asked, []).append(returns[:, i])
@@ -499,23 +504,27 @@ class Kinds:
         return files
 
     def _shipped(self, c: int) -> TransferMatrix:
-        """The matrix whose policies are the specialists of this recipe."""
+        """The matrix whose policies are the specialists of this problem and recipe."""
         cmdp, trainer = self.cmdps[c], self.trainers[c]
-        own = (cmdp.version, trainer.recipe)
+        own = (cmdp.version, dict(cmdp.settings), trainer.recipe)
         missing = f"specialists of {cmdp.id} are missing; build the kind specialists"
         if cmdp.id not in shipped_matrices():
             raise InvalidInput(missing)
         matrix = load_matrix(cmdp.id)
         records = matrix.provenance["seeds"]
-        fits = all((one["version"], one["recipe"]) == own for one in records)
-        fits = fits and matrix.fresh_returns is not None and matrix.std is not None
-        if not (fits and set(self.sources) <= set(_trained(matrix))):
-            raise InvalidInput(f"{missing} (the shipped matrix is of another recipe)")
+        same = all((one["version"], one["switches"], one["recipe"]) == own for one in records)
+        whole = matrix.fresh_returns is not None and matrix.std is not None
+        there = set(self.sources) <= set(matrix.trained) and max(self.seeds) < matrix.n_seeds
+        if not (same and whole and there):
+            raise InvalidInput(
+                f"{missing} (the shipped matrix is of other switches, another recipe, or of fewer "
+                "sources or seeds)"
+            )
         return matrix
 
     def _of_matrix(self, matrix: TransferMatrix, seed: int) -> dict[str, NDArray[Any]]:
         """(M, N, 3) specialists and (N, 3) reference rows of a matrix, as `summary` has them."""
-        rows = np.searchsorted(_trained(matrix), self.sources)
+        rows = np.searchsorted(matrix.trained, self.sources)
         parts = (matrix.returns, matrix.fresh_returns, matrix.std)
         arrays = {"specialists": np.stack([x[seed][rows] for x in parts if x is not None], axis=-1)}
         for name, own in matrix.references.items():
@@ -527,11 +536,6 @@ class Kinds:
         entries = (read_text(_entry(self._returns(part), key), key) for part in parts)
         found = distinct(zip(entries, (part.kind for part in parts), strict=True))
         return [{**origin, "kinds": list(dict.fromkeys(kinds))} for origin, kinds in found]
-
-
-def _trained(matrix: TransferMatrix) -> list[int]:
-    """Contexts that were trained on, rising."""
-    return list(range(matrix.n)) if matrix.sources is None else matrix.sources.tolist()
 
 
 def _entry(file: Path, key: str) -> NDArray[Any]:

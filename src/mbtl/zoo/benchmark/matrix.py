@@ -514,6 +514,11 @@ class TransferMatrix:
         return int(self.returns.shape[0])
 
     @property
+    def trained(self) -> NDArray[np.intp]:
+        """(M,) contexts that were trained on, rising."""
+        return np.arange(self.n) if self.sources is None else self.sources
+
+    @property
     def axes(self) -> tuple[Axis, ...]:
         """The d axes, with units."""
         return self.space.axes

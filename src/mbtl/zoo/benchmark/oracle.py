@@ -76,9 +76,7 @@ def nominal_source(matrix: TransferMatrix) -> int | None:
         away = np.linalg.norm(matrix.space.unit - matrix.space.encode(nominal), axis=1)
     except ContextMismatch:  # a stranger's file may say anything
         return None
-    if matrix.sources is None:
-        return int(away.argmin())
-    return int(matrix.sources[away[matrix.sources].argmin()])
+    return int(matrix.trained[away[matrix.trained].argmin()])
 
 
 # ---- the whole -------------------------------------------------------------------------------
