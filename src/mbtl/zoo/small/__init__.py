@@ -1,0 +1,1 @@
+"""Small problems of every kind, to tell strategies apart (`mbtl.zoo.small.problems`)."""
