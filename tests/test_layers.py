@@ -29,7 +29,8 @@ ENGINE = [
     "engine.lazy", "engine.world_trainer",
 ]  # fmt: skip
 ZOO = [
-    "zoo.worlds", "zoo.cmdps", "zoo.benchmark", "zoo.reproduction", "zoo.cli", "zoo.provider",
+    "zoo.worlds", "zoo.cmdps", "zoo.small", "zoo.benchmark", "zoo.reproduction", "zoo.cli",
+    "zoo.provider",
 ]  # fmt: skip
 ORDER = [*TOOL, *ENGINE, *ZOO]
 """The zoo may use the engine and the tool, the engine the tool, the tool neither."""

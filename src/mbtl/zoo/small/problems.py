@@ -134,11 +134,11 @@ class SmallProblem:
         world = worlds.Solo(Disturbed(getattr(small, kind.world)(), kind.scale))
         constants, seen = [], []
         for context in contexts:
-            values = {name: float(value) for name, value in context.items()}  # type: ignore[arg-type]
+            values = {name: float(value) for name, value in context.items()}
             sensors = {name: values.pop(name, 0.0) for name in _SENSORS}
             constants.append({**_constants(self.kind, {**kind.nominal, **values}), **sensors})
             ranges = ((context[name], *kind.axes[name]) for name in self.axes)
-            seen.append([2 * (float(x) - low) / (high - low) - 1 for x, low, high in ranges])  # type: ignore[arg-type]
+            seen.append([2 * (float(x) - low) / (high - low) - 1 for x, low, high in ranges])
         shown = seen if self.visible and seen else None
         return world, worlds.stack_params(world, constants, shown)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -264,7 +264,7 @@ class Disturbed:
     @property
     def params(self) -> type[Any]:
         """Those inside, noise and delay."""
-        return _disturbed_params(self.inside.params)
+        return _disturbed_params(cast(Any, self.inside.params))
 
     def _own(self, params: Tree) -> Tree:
         return self.inside.params(*params[:-3], params.visible)
@@ -304,7 +304,8 @@ def _uniform(state: DisturbedState, count: int) -> jax.Array:
 
 
 @cache
-def _disturbed_params(inside: Any) -> Any:
+def _disturbed_params(inside: Any) -> type[Any]:
     """Class of the parameters, one per world."""
     names = (*inside._fields[:-1], "noise", "delay", "visible")
-    return NamedTuple(f"Disturbed{inside.__name__}", [(name, jax.Array) for name in names])
+    made: Any = NamedTuple(f"Disturbed{inside.__name__}", [(name, jax.Array) for name in names])
+    return cast(type[Any], made)
