@@ -2,11 +2,14 @@
 # Each creates .venv with what it needs, by uv where it can be had and by pip otherwise. Only the tests
 # need PyTorch; its CPU build is taken where one can be reached, and one that is in .venv is kept.
 
+# what was compiled is kept in .venv and beside the sources: every start is a second faster
+unexport PYTHONDONTWRITEBYTECODE
+
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := tools/install
 PROBLEM ?= pendulum-mass
-BRIEF := --preset quick --timesteps 300000 --eval-episodes 20 --budget 5
+BRIEF := --preset quick --timesteps 300000 --eval-episodes 10 --budget 4
 FIRST := runs/first
 PYTEST = $(BIN)/python -m pytest --numprocesses logical --dist worksteal --durations 25
 

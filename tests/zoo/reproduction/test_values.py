@@ -7,7 +7,15 @@ from mbtl.errors import UnknownName
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
 from mbtl.zoo.benchmark.multitask import save_multitask
 from mbtl.zoo.reproduction import Bench, Setting, items_named, published
-from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
+from mbtl.zoo.reproduction.claims import (
+    NO_EVIDENCE,
+    NOT,
+    OPEN,
+    PARTLY,
+    REPRODUCED,
+    of_correlation,
+    of_heatmaps,
+)
 from mbtl.zoo.reproduction.items.elimination import rates
 from mbtl.zoo.reproduction.page import row_verdict
 from mbtl.zoo.reproduction.paper import (
@@ -15,8 +23,10 @@ from mbtl.zoo.reproduction.paper import (
     Value,
     interquartile_mean,
     marked,
+    marked_in_pairs,
     pooled,
     pooled_mean,
+    probability_of_improvement,
 )
 
 N = 6
@@ -50,7 +60,7 @@ def test_published_numbers_of_all_22():
     table = published()
     assert len(table) == 22
     line = table[ID]
-    assert set(line.values) == set(METHODS) - {"oracle_transfer"}
+    assert set(line.values) == set(METHODS) - {"oracle_transfer", "one_policy"}
     assert (line.values["mbtl"], line.mean_k_star) == (Value(0.9717, 0.0148), 11.67)
     assert round(table["cheetah-gravity"].efficiency, 6) == 50  # the text says 43
     assert (table["ring-acc"].n, table["ring-acc"].marked) == (40, {"multitask", "random", "mbtl"})
@@ -153,6 +163,40 @@ def test_the_best_within_significance():
     alone = {"mbtl": Value(1.0, None), "random": Value(0.99, None), "greedy": Value(1.0, None)}
     assert marked(alone, 1) == {"mbtl", "greedy"}
     assert marked({"sequential_oracle": Value(1.0, 0.0)}, 3) == frozenset()
+
+
+def test_ours_are_compared_seed_by_seed():
+    luck = np.array([0.1, 0.0, -0.1])  # moves both, and says nothing about which is better
+    found = {"mbtl": 0.90 + luck, "random": 0.89 + luck, "greedy": 0.899 - luck}
+    assert marked_in_pairs(found) == {"mbtl", "greedy"}
+    assert marked({m: Value.of(v) for m, v in found.items()}, 3) == {"mbtl", "random", "greedy"}
+    assert marked_in_pairs({"mbtl": found["mbtl"], "multitask": np.array([0.9])}) == {
+        "mbtl",
+        "multitask",
+    }
+    assert probability_of_improvement([found["mbtl"]], [found["random"]]) == 1.0
+    assert probability_of_improvement([found["mbtl"]], [np.array([0.85, 0.95])]) == 0.5
+
+
+def test_a_claim_that_holds_for_its_control_is_no_evidence(tmp_path):
+    def judged(returns, references):
+        matrix = TransferMatrix.of(returns[None], bounds=(0, 100), references=references)
+        save_shipped(matrix, tmp_path, "eco-green")
+        (green,) = [
+            claim
+            for claim in of_heatmaps(computed("heatmaps", tmp_path, "eco-green"))
+            if claim.title == "Heatmaps: green phase"
+        ]
+        eco = of_correlation(computed("gap-correlation", tmp_path, "eco-green"))[0]
+        return green.verdict, eco.verdict
+
+    targets = np.arange(12.0)
+    easier = np.tile(20.0 + 3.0 * targets, (12, 1))  # whatever the policy
+    alone = {"unguided": (10.0 + targets)[None, None]}
+    assert judged(easier, alone) == (NO_EVIDENCE, NO_EVIDENCE)
+    apart = 60.0 + targets - 4.0 * np.abs(targets[:, None] - targets)
+    level = {"unguided": np.full((1, 1, 12), 10.0)}
+    assert judged(apart, level) == (REPRODUCED, REPRODUCED)
 
 
 def test_the_interquartile_mean_is_not_moved_by_what_is_odd():

@@ -22,6 +22,7 @@ from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.multitask import MultiTask, load_multitask
 from mbtl.zoo.benchmark.oracle import reference
 from mbtl.zoo.benchmark.shipped import DEFAULT, data_folder, load_matrix, matrix_id, seed_files
+from mbtl.zoo.benchmark.transfers import FOLDER, TransferData, load_transfers, transfer_ids
 from mbtl.zoo.reproduction.paper import Published, Value, published
 
 # ---- one CMDP replayed: every curve, level and pick that the items of the paper need ---------
@@ -60,6 +61,7 @@ class Case:
         levels: "independent", "oracle_transfer" and "grand_mean" (one random policy) -> (S,).
         references: reference rows by name -> (S,); see `mbtl.zoo.benchmark.oracle`.
         multitask: every multi-task baseline of the same problem -> (S',).
+        one_policy: units -> (S,) of one training on all contexts that went on, up to K units.
         caveat: what must be said beside these values.
     """
 
@@ -77,6 +79,7 @@ class Case:
     levels: Mapping[str, Array]
     references: Mapping[str, Array]
     multitask: Mapping[str, Array]
+    one_policy: Mapping[float, Array]
     caveat: str | None
 
     @property
@@ -94,6 +97,8 @@ class Case:
         found["oracle_transfer"] = self.levels["oracle_transfer"]
         if self.own is not None:
             found["multitask"] = self.own
+        if self.one_policy:
+            found["one_policy"] = self.one_policy[max(self.one_policy)]
         return found
 
     @property
@@ -138,6 +143,7 @@ def case_of(
     matrix: TransferMatrix,
     baselines: Mapping[str, MultiTask],
     budget: int,
+    transfers: TransferData | None = None,
 ) -> Case:
     """Replay all selectors on a matrix.
 
@@ -147,6 +153,7 @@ def case_of(
         matrix: of that set.
         baselines: multi-task baselines of the CMDP; those of another problem are left out.
         budget: trainings K; at most M are done.
+        transfers: trainings of every kind, if there are.
     """
     m = len(matrix.problem(1).sources)
     k = min(budget, m)
@@ -194,6 +201,13 @@ def case_of(
             name: matrix.bounds.normalise(found.returns) @ weights
             for name, found in sorted(baselines.items())
             if same_problem(found, matrix, variant)
+        },
+        {}
+        if transfers is None
+        else {
+            units: transfers.bounds.normalise(rows[:, 1]) @ weights
+            for units, rows in transfers.generalists.items()
+            if units <= budget
         },
         matrix.caveat,
     )
@@ -306,6 +320,7 @@ class Bench:
                 self.matrix(id, variant),
                 load_multitask(id, folder=self._baselines),
                 self.setting.budget,
+                self._transfers(id) if variant == DEFAULT else None,
             )
         return self._cases[key]
 
@@ -319,7 +334,8 @@ class Bench:
         names = [matrix_id(id, v) for id in ids for v in (self.setting.variant, *variants)]
         parts = [__version__, _code(), str(self.setting.budget), self.setting.variant, *ids]
         parts += [self.fingerprint(name) for name in names]
-        parts += [_hash(sorted(self._baselines.glob(f"{id}-*.npz"))) for id in ids]
+        for place in (self._baselines, self._place / FOLDER):
+            parts += [_hash(sorted(place.glob(f"{id}-*.npz"))) for id in ids]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
     def fingerprint(self, name: str) -> str:
@@ -335,6 +351,10 @@ class Bench:
     @property
     def _place(self) -> Path:
         return self.setting.folder or data_folder()
+
+    def _transfers(self, id: str) -> TransferData | None:
+        place = self._place / FOLDER
+        return load_transfers(id, folder=place) if id in transfer_ids(place) else None
 
     @property
     def _baselines(self) -> Path:

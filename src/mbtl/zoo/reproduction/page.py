@@ -13,7 +13,7 @@ from mbtl.errors import cannot_write
 from mbtl.files import whole_file
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench
-from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED, Claim
+from mbtl.zoo.reproduction.claims import NO_EVIDENCE, NOT, OPEN, PARTLY, REPRODUCED, Claim
 from mbtl.zoo.reproduction.item import Numbers, Table
 from mbtl.zoo.reproduction.runner import FIGURES, TABLES, Outcome
 
@@ -28,8 +28,8 @@ LITTLE = 0.01
 RULE = (
     "Three checks. Level: each of the six values that is there is within 0.05 of the paper's. "
     "Order: several policies (mean of Random, Greedy and MBTL) are above the better of Independent "
-    "and Multi-task exactly where they are in the paper. Best: MBTL is among the best (standard "
-    "errors overlap) exactly where it is in the paper. Three checks: reproduced; one or two: "
+    "and Multi-task exactly where they are in the paper. Best: MBTL is among the best (bold in the "
+    "tables) exactly where it is in the paper. Three checks: reproduced; one or two: "
     "partly; none: not."
 )
 _SIX = ("independent", "multitask", "random", "greedy", "mbtl", "sequential_oracle")
@@ -105,7 +105,7 @@ def _reasons(row: dict[str, Any], checks: dict[str, bool], off: dict[str, float]
 
 
 COMMAND = "mbtl reproduce --page docs/reproduction.md"
-_ORDER = (REPRODUCED, PARTLY, NOT, OPEN)
+_ORDER = (REPRODUCED, PARTLY, NO_EVIDENCE, NOT, OPEN)
 _SHOWN = (
     ("01-main-table-aggregate", "All methods on all CMDPs together"),
     ("03-curves", "V against the number of trainings (dotted: k*)"),
@@ -201,6 +201,7 @@ def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
     for verdict, opening in (
         (REPRODUCED, "What holds here, too:"),
         (PARTLY, "What holds in part:"),
+        (NO_EVIDENCE, "What holds, but as much for its control, so that it is no evidence:"),
         (NOT, "What does not hold here:"),
     ):
         some = [claim.title for claim in claims if claim.verdict == verdict]
@@ -216,13 +217,18 @@ def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
 
 def _claims(claims: Sequence[Claim], pictures: str) -> str:
     """A table, and the rule and the picture of each."""
-    rows = tuple((c.title, c.paper, c.verdict, c.found) for c in claims)
-    table = Table("", ("claim", "the paper", "verdict", "found here"), rows).markdown()
+    rows = tuple((c.title, c.paper, c.verdict, c.found, c.control) for c in claims)
+    head = ("claim", "the paper", "verdict", "found here", "control")
+    table = Table("", head, rows).markdown()
     rules = "\n".join(
         f"- *{c.title}.* {c.rule}" + (f" [Figure]({pictures}/{c.figure}.png)" if c.figure else "")
         for c in claims
     )
-    return f"{table}\nThe rules of these verdicts:\n\n{rules}\n"
+    return (
+        f"{table}\nA control lacks the cause that the claim names: selection, a model, a policy, "
+        "or a dependence on the source. Where it does as well, the claim is no evidence for that "
+        f"cause. The rules of these verdicts:\n\n{rules}\n"
+    )
 
 
 def _rows(table: Numbers) -> str:

@@ -307,5 +307,5 @@ def _uniform(state: DisturbedState, count: int) -> jax.Array:
 def _disturbed_params(inside: Any) -> type[Any]:
     """Class of the parameters, one per world."""
     names = (*inside._fields[:-1], "noise", "delay", "visible")
-    made: Any = NamedTuple(f"Disturbed{inside.__name__}", [(name, jax.Array) for name in names])
+    made: Any = NamedTuple("DisturbedParams", [(name, jax.Array) for name in names])  # type: ignore[misc]
     return cast(type[Any], made)

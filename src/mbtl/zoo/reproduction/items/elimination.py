@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.objective import regret
 from mbtl.plot.style import new_figure
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.reproduction.bench import Bench
@@ -36,7 +37,15 @@ def compute(bench: Bench) -> Numbers:
             "domain": domain_of(id),
             "rate": meant.mean(axis=0).tolist(),
             "printed": printed.mean(axis=0).tolist(),
+            "regret": _regrets(matrix, picks),
         }
+        if "greedy" in case.picks:
+            even = case.picks["greedy"]
+            rows = [rates(matrix, s, even[s]) for s in range(case.n_seeds)]
+            found[id] |= {
+                "control_rate": np.mean(rows, axis=0).tolist(),
+                "control_regret": _regrets(matrix, even),
+            }
     budget = bench.setting.budget
     return {
         "cmdps": found,
@@ -44,6 +53,18 @@ def compute(bench: Bench) -> Numbers:
         "halving": [2.0 ** (1 - k.bit_length()) for k in range(1, budget + 1)],
         "missing": absent(bench),
     }
+
+
+def _regrets(matrix: TransferMatrix, picks: list[list[int]]) -> list[float]:
+    """(K,) what each training adds less than the best source would have, mean over seeds."""
+    sources = matrix.problem(1).sources
+    each = [
+        regret(
+            matrix.rows(seed, sources), np.searchsorted(sources, some), matrix.problem(1).weights
+        )
+        for seed, some in enumerate(picks)
+    ]
+    return [float(x) for x in np.mean(each, axis=0)]
 
 
 def rates(matrix: TransferMatrix, seed: int, picks: list[int], gaps: int = 1) -> Array:

@@ -1,4 +1,8 @@
-"""Item 9: is the gap linear? Its correlation with the distance, source by source."""
+"""Item 9: is the gap linear? Its correlation with the distance, source by source.
+
+The control are policies that do not depend on their source: each is worth, everywhere, what a
+random one of them is. Their gaps are differences between targets and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +33,32 @@ def compute(bench: Bench) -> Numbers:
             "median": float(np.median(known)) if known.size else None,
             "std": float(known.std()) if known.size else None,
             "positive": float((known > 0).mean()) if known.size else None,
+            "control": _control(matrix),
         }
     return {"ids": bench.ids, "cmdps": found, "missing": absent(bench)}
 
 
-def correlations(matrix: TransferMatrix, seed: int) -> Array:
+def _control(matrix: TransferMatrix) -> float | None:
+    """Mean correlation of policies that do not depend on their source."""
+    values = np.concatenate([correlations(matrix, s, True) for s in range(matrix.n_seeds)])
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else None
+
+
+def correlations(matrix: TransferMatrix, seed: int, control: bool = False) -> Array:
     """(M,) Pearson's r between |J(pi_x, x) - J(pi_x, x')| and |x - x'| over all x' but x.
 
     NaN where the gap is the same on every target. theta scales the distance and does not matter.
+
+    Args:
+        matrix: of one axis.
+        seed: of the matrix.
+        control: all policies are worth what they are in the mean.
     """
     sources = matrix.problem(1).sources
     rows = matrix.fresh_rows(seed, sources)
+    if control:
+        rows = np.broadcast_to(rows.mean(axis=0), rows.shape)
     found = np.full(len(sources), np.nan)
     steps = matrix.space.steps
     for i, source in enumerate(sources):
@@ -54,16 +73,27 @@ def correlations(matrix: TransferMatrix, seed: int) -> Array:
 def tables(numbers: Numbers) -> dict[str, Table]:
     """Per CMDP what the histogram shows."""
     rows = tuple(
-        (id, one["mean"], one["median"], one["std"], one["positive"], one["constant"])
+        (id, *(one[key] for key in ("mean", "control", "median", "std", "positive", "constant")))
         for id, one in numbers["cmdps"].items()
     )
     return {
         "": Table(
             "Pearson correlation of the observed gap with the distance, over all sources of all "
             "seeds.",
-            ("CMDP", "mean", "median", "deviation", "share above 0", "sources without a gap"),
+            (
+                "CMDP",
+                "mean",
+                "control",
+                "median",
+                "deviation",
+                "share above 0",
+                "sources without a gap",
+            ),
             rows,
-            ("sources without a gap: the same return everywhere, so there is no correlation.",),
+            (
+                "control: of policies that do not depend on their source. sources without a gap: "
+                "the same return everywhere, so there is no correlation.",
+            ),
         )
     }
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.plot.style import edges
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.item import Item, Numbers, Table, absent, panels
@@ -37,8 +38,32 @@ def compute(bench: Bench) -> Numbers:
             "sources": [int(s) for s in matrix.problem(1).sources],
             "table": table.round(_DIGITS).tolist(),
             "facts": facts(matrix, table),
+            "control": facts(matrix, np.broadcast_to(table.mean(axis=0), table.shape)),
+            "without": _without(matrix),
         }
     return {"ids": bench.ids, "cmdps": found, "missing": absent(bench)}
+
+
+def _without(matrix: TransferMatrix) -> dict[str, Any] | None:
+    """Trend and deviation along the axis without any policy, the system alone or random actions."""
+    for name in ("unguided", "random_actions"):
+        if name in matrix.references:
+            row = matrix.bounds.normalise(matrix.references[name]).mean(axis=(0, 1))
+            return {
+                "name": REFERENCE_NAMES[name],
+                "by_target": float(row.std()),
+                "target_trend": _trend(row),
+            }
+    return None
+
+
+def _trend(values: Array) -> float:
+    """Spearman's rank correlation with the axis."""
+    from scipy.stats import spearmanr  # kept out of `import mbtl`
+
+    if np.ptp(values) == 0.0:
+        return 0.0
+    return float(spearmanr(np.arange(len(values)), values).statistic)
 
 
 def facts(matrix: TransferMatrix, table: Array) -> dict[str, float]:
@@ -49,8 +74,6 @@ def facts(matrix: TransferMatrix, table: Array) -> dict[str, float]:
     lowest third on targets of the highest, less what sources of the highest third have there; down
     the other way round. Trends are Spearman's rank correlations of the means along the axis.
     """
-    from scipy.stats import spearmanr  # kept out of `import mbtl`
-
     sources = matrix.problem(1).sources
     n = matrix.n
     apart = np.abs(sources[:, None] - np.arange(n))
@@ -58,11 +81,6 @@ def facts(matrix: TransferMatrix, table: Array) -> dict[str, float]:
     low_s, high_s = sources < n / 3, sources >= 2 * n / 3
     low_t, high_t = np.arange(n) < n / 3, np.arange(n) >= 2 * n / 3
     columns, rows = table.mean(axis=0), table.mean(axis=1)
-
-    def trend(values: Array) -> float:
-        if np.ptp(values) == 0.0:
-            return 0.0
-        return float(spearmanr(np.arange(len(values)), values).statistic)
 
     return {
         "mean": float(table.mean()),
@@ -74,8 +92,8 @@ def facts(matrix: TransferMatrix, table: Array) -> dict[str, float]:
         "far": float(table[apart >= n / 2].mean()) - home,
         "up": float(table[np.ix_(low_s, high_t)].mean() - table[np.ix_(high_s, high_t)].mean()),
         "down": float(table[np.ix_(high_s, low_t)].mean() - table[np.ix_(low_s, low_t)].mean()),
-        "target_trend": trend(columns),
-        "source_trend": trend(rows),
+        "target_trend": _trend(columns),
+        "source_trend": _trend(rows),
     }
 
 

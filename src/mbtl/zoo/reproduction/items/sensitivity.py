@@ -36,7 +36,11 @@ def compute(bench: Bench) -> Numbers:
             continue
         case = bench.case(CMDP, variant)
         algorithms[name] = {
-            "values": {m: v.to_json() for m, v in case.values.items() if m != "multitask"},
+            "values": {
+                m: v.to_json()
+                for m, v in case.values.items()
+                if m not in ("multitask", "one_policy")
+            },
             "curves": {n: case.curves[n].mean(axis=0).tolist() for n in _SHOWN},
             "mbtl_minus_random": pooled_mean(
                 [case.curves["mbtl"][:, -1] - case.curves["random"][:, -1]]
@@ -44,7 +48,7 @@ def compute(bench: Bench) -> Numbers:
         }
     rows, differences = [], []
     for id, case in bench.cases().items():
-        values = {a: Value.of(case.curves[a][:, -1]).to_json() for a in ACQUISITIONS}
+        values = {a: Value.of(case.curves[a][:, -1]).to_json() for a in (*ACQUISITIONS, "random")}
         rows.append({"cmdp": id, "values": values})
         differences.append(case.curves["mbtl-ei"][:, -1] - case.curves["mbtl"][:, -1])
     ei = pooled_mean(differences).to_json() if differences else None
@@ -60,7 +64,7 @@ def compute(bench: Bench) -> Numbers:
 def tables(numbers: Numbers) -> dict[str, Table]:
     """One per question."""
     found = {}
-    methods = [m for m in METHODS if m != "multitask"]
+    methods = [m for m in METHODS if m not in ("multitask", "one_policy")]
     if numbers["algorithms"]:
         rows = tuple(
             (name, *(Measured.of(one["values"].get(m)) for m in methods))
