@@ -8,6 +8,10 @@ with all the units; that policy with one unit and then random specialists. A reg
 where a rival is ahead. Shares are of the way from one random specialist (0) to Oracle
 Transfer of all specialists (1).
 
+Last comes what beginning with everybody costs, where it gains nothing: V of K specialists in random
+order, less that of the policy for all and K - 1 of them. It is at most what one pick of such an
+order adds in the mean, (V_K - V_1) / (K - 1), since the mean curve of Random is concave.
+
 `--without` leaves out each device of `auto` in turn. The model of the chooser has not seen the
 family; the shares that are usual were chosen on all of these data.
 """
@@ -16,7 +20,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -150,6 +154,18 @@ def all_then_random(data: TransferData, seed: int) -> list[float]:
     return (total / ORDERS).tolist()
 
 
+def price_of_all(tables: Sequence[Table]) -> str:
+    """What the first unit costs at 3, 5, 10 and 15 units, and what it costs at most."""
+    at = np.array([3, 5, 10, 15]) - 1
+    cost, most = [], []
+    for table in tables:
+        curve, after = (table.rivals[k].mean(0) for k in ("random", "all, then random"))
+        cost.append((curve - after)[at])
+        most.append((curve[at] - curve[0]) / at)
+    rows = [f"{np.mean(x, 0).round(3)}, worst {np.max(x, 0).round(3)}" for x in (cost, most)]
+    return f"beginning with all, at 3, 5, 10, 15 units, costs {rows[0]}, and at most {rows[1]}"
+
+
 def values(strategy: Auto, data: TransferData, budgets: tuple[int, ...]) -> Array:
     """(S, B) V of a strategy that knows its budget, a run for each."""
     honest, found = strategy.without(family_of(data.name)), []
@@ -182,9 +198,11 @@ def main() -> None:
     names = args.cmdps or transfer_ids(args.folder)
     strategies = variants() if args.without else {"auto": Auto()}
     found: dict[str, dict[str, dict[str, Any]]] = {label: {} for label in strategies}
+    tables = []
     for name in names:
         data = load_transfers(name, folder=args.folder)
         table = table_of(data)
+        tables.append(table)
         for label, strategy in strategies.items():
             value = values(strategy, data, BUDGETS)
             best = [
@@ -202,6 +220,7 @@ def main() -> None:
         if label == "auto":
             show(rows)
         total(rows)
+    print(f"\n{price_of_all(tables)}")
 
 
 def show(rows: Mapping[str, Mapping[str, Any]]) -> None:

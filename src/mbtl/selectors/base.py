@@ -237,7 +237,7 @@ def served(problem: SelectionProblem, history: History) -> Array:
 
     Where a policy was not evaluated the transfer model believes something of it. On the shipped
     matrices, with 5 to 20 % of the targets evaluated, that has the smallest error of V of three
-    rules (evidence/unevaluated.py). -inf where nothing is known.
+    rules (docs/decisions.md). -inf where nothing is known.
     """
     seen = np.isfinite(history.rows)
     if seen.all() or not seen.any():

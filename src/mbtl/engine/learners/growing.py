@@ -29,10 +29,10 @@ from mbtl.engine.worlds.world import World
 from mbtl.portfolio import MLPPolicy
 
 SHARE = 0.2
-"""Of a stage that is the branch (evidence/schedules.py)."""
+"""Of a stage that is the branch (docs/decisions.md)."""
 
 SLOWING = 0.1
-"""Units after which the rate along the trunk has fallen by sqrt(2) (evidence/schedules.py)."""
+"""Units after which the rate along the trunk has fallen by sqrt(2) (docs/decisions.md)."""
 
 
 def stage(updates: int) -> tuple[int, int]:
@@ -53,7 +53,7 @@ class Growing(NamedTuple):
         seeds: P training seeds.
         params: of the P contexts, or sets of contexts.
         whole: updates of one unit, within a share of which exploration falls.
-        before: updates of the trainings that these are tuned from (evidence/schedules.py).
+        before: updates of the trainings that these are tuned from (docs/decisions.md).
     """
 
     world: World
