@@ -1,7 +1,16 @@
 """Portfolio: trained policies, the router that picks one per context, and their files."""
 
+from mbtl.portfolio.adaptive import Adaptive
 from mbtl.portfolio.mlp import BoxHead, DiscreteHead, MLPPolicy
 from mbtl.portfolio.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.router import Choice
 
-__all__ = ["BoxHead", "Choice", "DiscreteHead", "MLPPolicy", "Portfolio", "load_portfolio"]
+__all__ = [
+    "Adaptive",
+    "BoxHead",
+    "Choice",
+    "DiscreteHead",
+    "MLPPolicy",
+    "Portfolio",
+    "load_portfolio",
+]

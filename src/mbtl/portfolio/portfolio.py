@@ -24,6 +24,7 @@ from mbtl.files import MALFORMED
 from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
+from mbtl.portfolio.adaptive import Adaptive
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
@@ -223,6 +224,15 @@ class Portfolio:
                 Path(folder), self.policy_format, self.load, trust=self.trust
             )
         return self._loaded[i]
+
+    def adaptive(self, *, episodes: int = 10, forget: float = 0.0) -> Adaptive:
+        """Serve a context that is not told, from the returns of the episodes there.
+
+        Args:
+            episodes: how many are expected; the more, the more is tried out.
+            forget: chance per episode that the context has changed.
+        """
+        return Adaptive(self, episodes, forget)
 
     # ---- keeping -----------------------------------------------------------------------------
 

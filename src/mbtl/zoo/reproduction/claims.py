@@ -14,7 +14,7 @@ from mbtl.zoo.reproduction.item import Numbers
 
 
 REPRODUCED, PARTLY, NOT, OPEN = "reproduced", "partly", "not reproduced", "not testable"
-NO_EVIDENCE = "holds, and for its control"
+NO_EVIDENCE = "no evidence"
 """The numbers are as the paper says, and as much so where the cause it names is missing."""
 
 

@@ -220,9 +220,13 @@ def _claims(claims: Sequence[Claim], pictures: str) -> str:
     rows = tuple((c.title, c.paper, c.verdict, c.found, c.control) for c in claims)
     head = ("claim", "the paper", "verdict", "found here", "control")
     table = Table("", head, rows).markdown()
+    by_rule: dict[tuple[str, str], list[str]] = {}
+    for c in claims:
+        by_rule.setdefault((c.rule, c.figure), []).append(c.title)
     rules = "\n".join(
-        f"- *{c.title}.* {c.rule}" + (f" [Figure]({pictures}/{c.figure}.png)" if c.figure else "")
-        for c in claims
+        f"- *{'; '.join(titles)}.* {rule}"
+        + (f" [Figure]({pictures}/{figure}.png)" if figure else "")
+        for (rule, figure), titles in by_rule.items()
     )
     return (
         f"{table}\nA control lacks the cause that the claim names: selection, a model, a policy, "
