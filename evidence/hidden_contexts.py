@@ -2,11 +2,12 @@
 
     OMP_NUM_THREADS=1 python evidence/hidden_contexts.py
 
-Portfolios of the policy for all of one unit and four specialists, as the paper's rule picks them,
-on all transfer data, one seed. In every fourth context ten episodes are drawn three times, normal
-with the mean of the reporting half and the stored deviation; policies are chosen by the other half.
-Shares are of the way from the best single policy (0) to routing with the context told (1), by the
-mean returns of the policies that are played.
+Portfolios of five specialists, as the paper's rule picks them, on the shipped matrices, the set in
+which policies do not see the context where there is one; one seed. In every fourth context ten
+episodes are drawn three times, normal with the mean of the reporting half and the stored deviation;
+policies are chosen by the other half. Shares are of the way from the best single policy (0) to
+routing with the context told (1), by the mean returns of the policies that are played; without
+exploration, the policy of largest expected return is played.
 """
 
 from __future__ import annotations
@@ -14,72 +15,73 @@ from __future__ import annotations
 import numpy as np
 
 from mbtl.portfolio import Adaptive, Portfolio
+from mbtl.problems import cmdp_ids, get_cmdp
 from mbtl.selectors import get_selector
+from mbtl.zoo.benchmark import load_matrix
+from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.replay import replay
-from mbtl.zoo.benchmark.trainings import specialists_of
-from mbtl.zoo.benchmark.transfers import TransferData, load_transfers, transfer_ids
+from mbtl.zoo.benchmark.shipped import shipped_matrices
 
-EPISODES, DRAWS, EVERY, SPECIALISTS = 10, 3, 4, 4
+EPISODES, DRAWS, EVERY, SPECIALISTS, SAME = 10, 3, 4, 5, 20
 SHOWN = (1, 2, 3, 5, 10)
 LITTLE = 0.005
 """Performance between the best single policy and the told context below which a share is noise."""
 
 
-def portfolio_of(data: TransferData) -> tuple[Portfolio, np.ndarray, np.ndarray]:
-    """The portfolio by half 0; (k, N) raw returns of half 1, and deviations."""
-    matrix = specialists_of(data, None)
-    chosen = replay(
-        get_selector("mbtl"), matrix.problem(SPECIALISTS), lambda i: matrix.rows(0, [i])[0]
-    )
-    picks = list(chosen.history.sources)
-    rows = np.searchsorted(data.sources, picks)
-    halves = np.concatenate(
-        [data.generalists[1.0][0][:, None], data.specialists[0][:, rows]], axis=1
-    )
-    at = list(data.generalists).index(1.0)
-    std = np.vstack([data.std["generalists"][at][:1], data.std["specialists"][0][rows]])
-    everyone = tuple(range(data.n))
-    # two episodes at a distance have the stored mean and deviation, and stand for many
-    drawn = [
-        (mean[:, None] + np.outer(s, [-1, 1]) / np.sqrt(2)).repeat(20, 1)
-        for mean, s in zip(halves[0], std, strict=True)
-    ]
-    return (
-        Portfolio(
-            space=data.space, sources=(data.n // 2, *picks), returns=halves[0],
-            bounds=data.bounds, episodes=drawn, sets={0: everyone},
-        ),
-        halves[1],
-        std,
-    )  # fmt: skip
+def portfolio_of(matrix: TransferMatrix) -> tuple[Portfolio, np.ndarray, np.ndarray]:
+    """By half 0; (k, N) performance in half 1, and deviations of episodes, raw."""
+    problem = matrix.problem(SPECIALISTS)
+    run = replay(get_selector("mbtl"), problem, lambda i: matrix.rows(0, [i])[0])
+    picks = list(run.history.sources)
+    rows = np.searchsorted(matrix.trained, picks)
+    returns, std = matrix.returns[0][rows], matrix.std[0][rows]
+    # episodes with the stored mean and deviation; as many as make the deviation well known
+    each = returns[..., None] + std[..., None] * np.tile([-1.0, 1.0], SAME)
+    served = Portfolio(matrix.space, tuple(picks), returns, matrix.bounds, list(each))
+    return served, matrix.fresh_rows(0, picks), std
+
+
+def reached(served: Portfolio, truth: np.ndarray, std: np.ndarray, explore: bool) -> np.ndarray:
+    """(EPISODES,) mean performance of the policies that are played."""
+    rng, contexts = np.random.default_rng(0), range(0, served.space.n, EVERY)
+    found = np.zeros(EPISODES)
+    for x in contexts:
+        for _ in range(DRAWS):
+            serving = Adaptive(served, EPISODES if explore else 1)
+            for t in range(EPISODES):
+                k = serving.next
+                found[t] += truth[k, x] / (len(contexts) * DRAWS)
+                mean = float(served.bounds.denormalise(truth[k, x]))
+                serving.observe(float(rng.normal(mean, std[k, x])), k)
+    return found
 
 
 def main() -> None:
-    print("| CMDP | all | best single | told | in episode 1, 2, 3, 5, 10 |\n|---|---|---|---|---|")
-    shares = []
-    for name in transfer_ids():
-        served, fresh, std = portfolio_of(data := load_transfers(name))
-        truth, rng = data.bounds.normalise(fresh), np.random.default_rng(0)
-        contexts = range(0, data.n, EVERY)
-        reached = np.zeros(EPISODES)
-        for x in contexts:
-            for _ in range(DRAWS):
-                serving = Adaptive(served, EPISODES)
-                for t in range(EPISODES):
-                    k = serving.next
-                    reached[t] += truth[k, x] / (len(contexts) * DRAWS)
-                    serving.observe(float(rng.normal(fresh[k, x], std[k, x])), k)
-        known = served.performance
-        single, told = truth[known.mean(1).argmax()], truth[known.argmax(0), np.arange(data.n)]
-        low, high = single[list(contexts)].mean(), told[list(contexts)].mean()
-        share = (reached - low) / (high - low)
-        cells = "little to gain"
-        if high - low > LITTLE:
-            shares.append(share)
-            cells = " ".join(f"{share[e - 1]:.2f}" for e in SHOWN)
-        print(f"| {name} | {truth[0].mean():.3f} | {low:.3f} | {high:.3f} | {cells} |", flush=True)
-    middle = np.median(shares, axis=0)
-    print(f"\nmedian of {len(shares)}: {' '.join(f'{middle[e - 1]:.2f}' for e in SHOWN)}")
+    print(f"| matrix | best single | told | share in episode {SHOWN} | without exploration |")
+    print("|---|---|---|---|---|")
+    shares: list[tuple[np.ndarray, np.ndarray]] = []
+    for id in cmdp_ids():
+        hidden = f"{id}-hidden" in shipped_matrices()
+        if len(get_cmdp(id).space.axes) > 1 or id not in shipped_matrices():
+            continue
+        matrix = load_matrix(id, "hidden" if hidden else "default")
+        if matrix.std is None or matrix.fresh_returns is None:
+            continue
+        served, truth, std = portfolio_of(matrix)
+        known, some = served.performance, np.arange(0, matrix.n, EVERY)
+        low = truth[known.mean(axis=1).argmax(), some].mean()
+        high = truth[known.argmax(axis=0)[some], some].mean()
+        row = f"| {id}{'-hidden' if hidden else ''} | {low:.3f} | {high:.3f} |"
+        if high - low < LITTLE:
+            print(f"{row} little to gain | |", flush=True)
+            continue
+        both = [(reached(served, truth, std, e) - low) / (high - low) for e in (True, False)]
+        shares.append((both[0], both[1]))
+        cells = (" ".join(f"{one[e - 1]:.2f}" for e in SHOWN) for one in both)
+        print(f"{row} {' | '.join(cells)} |", flush=True)
+    for name, one in zip(("exploring", "not"), np.median(shares, axis=0), strict=True):
+        print(f"median of {len(shares)}, {name}: {' '.join(f'{one[e - 1]:.2f}' for e in SHOWN)}")
+    print(f"mean over episodes: {np.mean(shares, axis=(0, 2)).round(3)}")
 
 
 if __name__ == "__main__":
