@@ -607,6 +607,15 @@ class ContextSpace:
             )
         return found
 
+    def nearest(self, context: Mapping[str, Value]) -> Context:
+        """The context with each number moved into the range of its axis."""
+        found = dict(context)
+        for axis in self.axes:
+            value = found.get(axis.name)
+            if isinstance(axis, _Numeric) and isinstance(value, int | float):
+                found[axis.name] = min(max(value, axis.low), axis.high)
+        return found
+
     def encode(self, context: Mapping[str, Value]) -> Array:
         """(D,) unit-cube coordinates of any context within the axes, on the list or off it."""
         _check_keys(self.axes, context)
