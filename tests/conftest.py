@@ -47,3 +47,11 @@ def mbtl_command(capsys, monkeypatch, tmp_path):
     for name in set(sys.modules) - before:  # a user's modules in tmp_path, of this test only
         if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """`mbtl run` draws nothing, which takes two thirds of a short one."""
+    for picture in ("curve", "policy_map"):
+        monkeypatch.setattr(f"mbtl.cli.run.{picture}", lambda study, **how: None)
+    monkeypatch.setattr("mbtl.cli.run.save", lambda picture, path: path)

@@ -56,7 +56,7 @@ def folder(tmp_path, monkeypatch):
 def shell(folder, line):
     """The program in a shell: (exit code, stdout, stderr)."""
     file = folder / "program.py"
-    file.write_text(PROGRAM)
+    file.write_text(f"import sys; sys.modules['matplotlib'] = None\n{PROGRAM}")  # no pictures
     line = line.replace("MBTL", f"{sys.executable} {file}")
     done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
     assert "Exception ignored" not in done.stderr
@@ -105,9 +105,8 @@ def test_a_progress_line_is_not_worth_a_study_in_python_either(monkeypatch, tmp_
     assert SHOWN[0] in said
 
 
-@pytest.mark.filterwarnings("ignore:Glyph")  # no font has the letters of a terminal's colours
 @pytest.mark.parametrize("columns", ["0", "many"])
-@pytest.mark.usefixtures("folder")
+@pytest.mark.usefixtures("folder", "undrawn")
 def test_texts_of_others_are_shown_and_do_nothing(mbtl_command, monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", columns)
     code, out, err = mbtl_command("run", "own.py:red", "--json")
@@ -124,7 +123,7 @@ def test_texts_of_others_are_shown_and_do_nothing(mbtl_command, monkeypatch, col
     assert "\x9b" not in out + err
 
 
-@pytest.mark.filterwarnings("ignore:Glyph")
+@pytest.mark.usefixtures("undrawn")
 def test_code_that_exits_is_a_failed_training_and_a_failed_check(folder, mbtl_command):
     exits = "run", "own.py:exits", "--all", "--strategy", "random", "--json"
     code, out, err = mbtl_command(*exits)

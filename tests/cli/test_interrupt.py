@@ -40,6 +40,7 @@ def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_130(tmp_path):
 
 PROBLEM = """
 import os, pathlib, subprocess, tempfile, time, mbtl
+mbtl.processes.GRACE = 1.0  # in the workers, which wait for nothing that takes longer
 def train(context, seed):
     if context['x'] > 0.0:
         with tempfile.TemporaryDirectory(dir='.', prefix='scratch-'):

@@ -33,6 +33,9 @@ flat = mbtl.CMDP.from_functions(
 FOLDER = "runs/mass-default-seed0"
 
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A folder where the main job ran once, its document, and what it said meanwhile."""
@@ -87,6 +90,14 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, ran):
         assert words in out.replace("\n", " ")
     assert "not drawn" not in out  # nothing is said of what there is none of
     assert max(map(len, out.splitlines())) <= 100
+
+
+@pytest.mark.usefixtures("ran")
+def test_a_finished_study_is_listed_at_once(mbtl_command, finished, monkeypatch):
+    monkeypatch.setattr("mbtl.models.beliefs.Beliefs._model", None)  # nothing is left to fit
+    (listed,) = json.loads(mbtl_command("study", "list", "--json")[1])
+    assert listed["finished"]
+    assert listed["value"] == finished[1]["fresh_value"]
 
 
 def test_a_study_is_shown_and_exported(mbtl_command, ran, tmp_path):

@@ -33,6 +33,9 @@ other = mbtl.CMDP.from_functions('other', space, train=train, evaluate=evaluate,
 """
 
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     """A working folder with a problem; `slow` in it makes the training in the centre endless."""
@@ -130,7 +133,7 @@ def test_a_worker_whose_time_is_over_ends_by_itself_and_another_takes_its_traini
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # deaf in the background
     try:
         code, out, err = mbtl_command(
-            "worker", "s", "quick.py:problem", "--wall-time", "2", "--json"
+            "worker", "s", "quick.py:problem", "--wall-time", "1", "--json"
         )
     finally:
         signal.signal(signal.SIGINT, usual)

@@ -152,7 +152,8 @@ def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = Tru
 def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
-    if state.rows and (spec.stop_value, spec.stop_left) != (None, None):
+    at_most = None if spec.stop_left is None else spec.best_return
+    if state.rows and (spec.stop_value, at_most) != (None, None):  # else V is not worth a fit
         now = state.routing().value
         least = now.at_least(spec.stop_confidence)
         if spec.stop_value is not None and least >= spec.stop_value:

@@ -123,10 +123,10 @@ def plan_to_do(study: Study, *, whole: bool = False) -> ReportPlan | None:
     Nor of a V that is a mean over the worst contexts: by fresh episodes the unlucky ones would be.
     """
     state = study.state
-    if not state.rows or study.spec.risk < 1.0:
+    if not state.rows or study.spec.risk < 1.0 or (state.fresh is not None and not whole):
         return None
     plan = plan_of(study, whole=whole)
-    if state.fresh is not None and (not whole or _played(state.fresh.served)[plan.contexts].all()):
+    if state.fresh is not None and _played(state.fresh.served)[plan.contexts].all():
         return None
     at_hand = all(state.rows[i].policy or i in study.policies for i in plan.policies)
     return plan if at_hand else None
@@ -182,12 +182,14 @@ def fresh_value(state: StudyState) -> FreshValue | None:
     fresh, bounds, spec = state.fresh, state.bounds(), state.spec
     if fresh is None or spec.risk < 1.0:
         return None
-    routing, weights, best = state.routing(), spec.space.weights, fresh.best_single
+    weights, best = spec.space.weights, fresh.best_single
     served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
-    value, margin = estimated(routing.served, served, weights)
-    gain, gain_margin = estimated(routing.served - routing.believed[best], served - alone, weights)
-    there = _played(served)
-    each = routing.served.copy()
+    there, (each, lead) = _played(served), np.zeros((2, len(weights)))
+    if not there.all():  # where all were played, what a model believes of them adds nothing
+        routing = state.routing()
+        each, lead = routing.served.copy(), routing.served - routing.believed[best]
+    value, margin = estimated(each, served, weights)
+    gain, gain_margin = estimated(lead, served - alone, weights)
     each[there] = served[there].mean(axis=1)
     count = int(there.sum())
     return FreshValue(value, margin, served.shape[1], count, each, best, gain, gain_margin)

@@ -220,7 +220,8 @@ def run(
             if not study.state.rows and (words := few_episodes(study, trainer)):
                 for callback in callbacks:
                     callback.on_note(study, words)
-            first_policy = failures.rehearse
+            finished = study.stop_reason is not None and not study.orphans
+            first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
                 first_policy = False
@@ -281,9 +282,6 @@ def _rehearse(
     study: Study, rehearsal: Callable[..., Trouble | None], executor: Executor | None
 ) -> None:
     """Find out before the first training what would fail after it."""
-    done = study.stop_reason is not None and not study.orphans
-    if study.has_succeeded or done:
-        return
     ends = sorted({0, study.space.n - 1})
     contexts, seeds = [study.space.context(i) for i in ends], study.evaluation_seeds(ends)
     if executor is None:
