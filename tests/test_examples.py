@@ -2,7 +2,7 @@
 
 import importlib.util
 import pickle
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 
@@ -20,12 +20,13 @@ LONG = {"own_sumo_network"}  # three trainings in SUMO
         for path in sorted(EXAMPLES.glob("*.py"))
     ],
 )
-def test_an_example_runs(path, tmp_path):
+def test_an_example_runs(path, tmp_path, monkeypatch, capsys):
     for package in NEEDS.get(path.stem, ()):
         pytest.importorskip(package)
-    done = subprocess.run([sys.executable, path], capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    runpy.run_path(str(path), run_name="__main__")
+    assert capsys.readouterr().out
 
 
 def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):

@@ -162,6 +162,7 @@ def test_five_interrupts_are_one(folder, gap):
     while not list(folder.glob("runs/*/.study.db.*.lock")):  # the run has begun
         assert time.monotonic() - began < 600.0
         assert process.poll() is None
+        time.sleep(0.05)
     for _ in range(5):
         process.send_signal(signal.SIGINT)
         time.sleep(gap)

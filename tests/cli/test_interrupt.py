@@ -31,7 +31,7 @@ def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_130(tmp_path):
             env={**os.environ, "COLUMNS": "100"},
         )  # fmt: skip
         wait_until(lambda: list(tmp_path.glob("runs/*/study.db")), process)
-        time.sleep(2.0)  # compiling or learning
+        time.sleep(1.0)  # compiling or learning
         process.send_signal(signal.SIGINT)
         code = process.wait(timeout=HANGING)
     assert code == 130, log.read_text()
@@ -79,7 +79,7 @@ def test_workers_and_their_simulators_end_with_their_master(tmp_path, command, n
         )  # fmt: skip
         least = 4 if "build" in command else 2  # the study's other pick may be the quick one
         wait_until(lambda: len(list(tmp_path.glob("process-*"))) >= least, master)
-        time.sleep(0.5)
+        time.sleep(0.1)
         master.send_signal(number)
         code = master.wait(timeout=HANGING)
     started = [int(path.name.removeprefix("process-")) for path in tmp_path.glob("process-*")]

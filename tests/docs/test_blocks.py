@@ -19,6 +19,7 @@ pages = pytest.mark.parametrize(
 
 
 @pages
+@pytest.mark.usefixtures("undrawn")
 def test_the_blocks_of_a_page_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
