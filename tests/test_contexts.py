@@ -22,9 +22,8 @@ AXES = [
 
 
 @pytest.mark.parametrize(("axis", "values", "unit"), AXES, ids=lambda a: getattr(a, "name", ""))
-def test_numeric_axis_maps_to_the_unit_interval_and_back(axis, values, unit):
+def test_numeric_axis_maps_to_the_unit_interval(axis, values, unit):
     assert axis.encode(values)[:, 0] == pytest.approx(unit)
-    assert axis.decode(np.array(unit)[:, None]) == pytest.approx(values)
     assert axis_from_json(axis.to_json()) == axis
     ends = [axis.low * (1 - 1e-13), axis.high * (1 + 1e-13)]  # rounding there is forgiven
     assert axis.encode(ends)[:, 0] == pytest.approx([0.0, 1.0], abs=1e-12)
@@ -35,7 +34,6 @@ def test_categories_are_all_one_apart():
     unit = axis.encode(["dry", "wet", "ice"])
     distances = np.sqrt(((unit[:, None] - unit) ** 2).sum(axis=2))
     assert distances == pytest.approx(1 - np.eye(3))
-    assert axis.decode(unit) == ["dry", "wet", "ice"]
     assert axis_from_json(axis.to_json()) == axis
 
 
@@ -117,6 +115,10 @@ MIXED = {
     Categorical("road", ("dry", "wet", "ice")): 3,
     Integer("n", 1, 4): 4,
 }
+POINTS = ContextSpace.points(
+    [LENGTH, Categorical("c", ("a", "b"))],
+    [{"length": 1.0, "c": "a"}, {"length": 0.1, "c": "b"}, {"length": 1.0, "c": "b"}],
+)
 
 
 def test_grid_of_one_axis_has_steps_0_to_n_minus_1():
@@ -156,7 +158,7 @@ def test_a_coarser_grid_starts_in_the_middle_and_keeps_weights_and_levels():
     with pytest.raises(InvalidInput, match="a step of 1 or more"):
         space.every(0)
     with pytest.raises(InvalidInput, match="needs a grid"):
-        ContextSpace.sample([LENGTH], 10, seed=0).every(2)
+        POINTS.every(2)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +166,7 @@ def test_a_coarser_grid_starts_in_the_middle_and_keeps_weights_and_levels():
     [
         ContextSpace.grid(MIXED),
         ContextSpace.points([LENGTH], [{"length": 1.0}, {"length": 0.1}], weights=[3, 1]),
-        ContextSpace.sample([LENGTH, Categorical("c", ("a", "b"))], 10, seed=0),
+        POINTS,
     ],
 )
 def test_space_survives_json(space):
@@ -179,15 +181,6 @@ def test_a_context_is_described_with_units():
     context = {"length": 0.123456, "road": "wet", "n": 3}
     assert space.describe(context) == "length = 0.1235 m, road = wet, n = 3"
     assert space.describe({"wind": 2.0} | context, "\n").splitlines()[0] == "wind = 2"
-
-
-def test_sample_is_seeded_distinct_and_inside():
-    axes = [LENGTH, Integer("n", 1, 50)]
-    a, b = ContextSpace.sample(axes, 200, seed=1), ContextSpace.sample(axes, 200, seed=1)
-    assert a == b
-    assert a != ContextSpace.sample(axes, 200, seed=2)
-    assert ((a.unit >= 0) & (a.unit <= 1)).all()
-    assert len(np.unique(a.unit, axis=0)) == 200
 
 
 @pytest.mark.parametrize(
@@ -207,7 +200,6 @@ def test_sample_is_seeded_distinct_and_inside():
         (lambda: ContextSpace.grid({LENGTH: ["0.1", "0.2"]}), ContextMismatch, "got '0.1'"),
         (lambda: ContextSpace.points([LENGTH], [{"length": 1.0, "w": 2}]), UnknownName, "'w'"),
         (lambda: ContextSpace.grid({}), InvalidInput, "one or more axes"),
-        (lambda: ContextSpace.sample([Integer("n", 1, 3)], 4, seed=0), InvalidInput, "than 4"),
         (lambda: ContextSpace.grid({LENGTH: 3}).context(3), InvalidInput, "0 to 2"),
         (lambda: ContextSpace.grid({LENGTH: 3}).index({"length": 1.0}), ContextMismatch, "nearest"),
         (lambda: ContextSpace.grid({LENGTH: 3}).values("mass"), UnknownName, "mass"),
@@ -265,8 +257,7 @@ def test_what_single_precision_cannot_tell_apart_is_found_exactly_or_not_at_all(
 
 
 def test_any_damage_to_a_stored_space_gets_a_sentence_from_whoever_reads_it():
-    whole = [ContextSpace.grid(MIXED, weights=np.arange(60)).to_json(),
-             ContextSpace.sample([LENGTH, *MIXED], 5, seed=0).to_json()]  # fmt: skip
+    whole = [ContextSpace.grid(MIXED, weights=np.arange(60)).to_json(), POINTS.to_json()]
 
     def attempt(seed):
         try:

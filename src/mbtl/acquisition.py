@@ -249,12 +249,6 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def drawn(self, source: int) -> Array:
-        """(n,) samples of the gain of one training on `source`, always the same ones."""
-        rng = np.random.default_rng(0)
-        rows = self.model.draws(np.array([source]), self.targets, _DRAWS, rng)[:, 0]
-        return self._gained(np.minimum(rows, self._top(rng.standard_normal((_DRAWS, 1)))))
-
     def chance(self, source: int, least: float) -> float:
         """Probability that one training on `source` gains `least` or more.
 

@@ -1,4 +1,4 @@
-"""Contexts: axes, spaces and grids; value <-> unit cube <-> grid steps.
+"""Contexts: axes, spaces and grids; values in the unit cube and in grid steps.
 
 An axis is one named dimension of a context, with its unit and its map to the unit interval. A
 numeric axis maps to one column in [0, 1]. A categorical axis with L levels maps to L columns,
@@ -85,10 +85,6 @@ class Axis(ABC):
         """
 
     @abstractmethod
-    def decode(self, unit: Array) -> list[Value]:
-        """(n, width) unit columns -> values; the inverse of `encode` up to rounding."""
-
-    @abstractmethod
     def spread(self, n: int) -> list[Value]:
         """`n` values evenly spaced on the unit interval, both ends included."""
 
@@ -169,10 +165,6 @@ class _Numeric(Axis):
         """Unit column of the share of the range that lies below each value."""
         return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
 
-    def decode(self, unit: Array) -> list[Value]:
-        """Values; see `Axis.decode`."""
-        return list((self.low + unit[:, 0] * (self.high - self.low)).tolist())
-
     def spread(self, n: int) -> list[Value]:
         """`n` values at equal differences."""
         return list(np.linspace(self.low, self.high, n).tolist())
@@ -216,10 +208,6 @@ class Log(_Numeric):
         """Unit column, proportional to the logarithm of the value."""
         return (np.log(self._checked(values) / self.low) / math.log(self.high / self.low))[:, None]
 
-    def decode(self, unit: Array) -> list[Value]:
-        """Values; see `Axis.decode`."""
-        return list((self.low * (self.high / self.low) ** unit[:, 0]).tolist())
-
     def spread(self, n: int) -> list[Value]:
         """`n` values at equal ratios."""
         return list(np.geomspace(self.low, self.high, n).tolist())
@@ -254,10 +242,6 @@ class Integer(_Numeric):
         if abs(value - whole) <= _rounding(SINGLE * abs(value)):
             return whole
         raise ContextMismatch(f"axis {self.name!r} takes whole numbers, got {value!r}; use Linear")
-
-    def decode(self, unit: Array) -> list[Value]:
-        """The nearest whole numbers."""
-        return [int(v) for v in np.round(self.low + unit[:, 0] * (self.high - self.low))]
 
     def spread(self, n: int) -> list[Value]:
         """`n` distinct whole numbers; raises `InvalidInput` when there are fewer."""
@@ -317,10 +301,6 @@ class Categorical(Axis):
         """One-hot rows over sqrt(2); see `Axis.encode`."""
         levels = [self.choices.index(value) for value in self.own(values)]
         return np.asarray(np.eye(self.width)[levels] / math.sqrt(2.0))
-
-    def decode(self, unit: Array) -> list[Value]:
-        """The level of the largest column."""
-        return [self.choices[level] for level in unit.argmax(axis=1)]
 
     def spread(self, n: int) -> list[Value]:
         """All levels in their order; raises `InvalidInput` unless `n` is their number."""
@@ -403,7 +383,7 @@ def _number(value: Any) -> float | int | None:
 class ContextSpace:
     """Every context of a problem, in a fixed order: index i means the same context for ever.
 
-    Build one with `ContextSpace.grid`, `ContextSpace.points` or `ContextSpace.sample`.
+    Build one with `ContextSpace.grid` or `ContextSpace.points`.
     """
 
     def __init__(
@@ -490,29 +470,6 @@ class ContextSpace:
             _check_keys(axes, context)
         columns = [[context[axis.name] for context in contexts] for axis in axes]
         return cls(axes, columns, weights=weights)
-
-    @classmethod
-    def sample(
-        cls, axes: Sequence[Axis], n: int, *, seed: int, weights: ArrayLike | None = None
-    ) -> ContextSpace:
-        """`n` distinct contexts spread over the axes by a scrambled Halton sequence.
-
-        Raises:
-            InvalidInput: n < 1, or the axes do not have `n` distinct contexts.
-        """
-        from scipy.stats import qmc  # kept out of `import mbtl`: it takes longer than all the rest
-
-        if n < 1:
-            raise InvalidInput(f"a sample needs n >= 1 contexts, got {n}")
-        halton = qmc.Halton(len(axes), seed=seed)
-        seen: dict[tuple[Value, ...], None] = {}
-        for _ in range(50):
-            for row in halton.random(n):
-                values = tuple(_from_fraction(a, u) for a, u in zip(axes, row, strict=True))
-                seen.setdefault(values)
-                if len(seen) == n:
-                    return cls(axes, list(zip(*seen, strict=True)), weights=weights)
-        raise InvalidInput(f"the axes have fewer than {n} distinct contexts; ask for {len(seen)}")
 
     def every(self, step: int) -> ContextSpace:
         """The grid of each `step`-th value per numeric axis, from the middle of the first few.
@@ -757,15 +714,6 @@ def _told(space: ContextSpace) -> Iterator[tuple[str, Any]]:
 
 def _key(unit: Array) -> tuple[float, ...]:
     return tuple((np.round(unit, _DIGITS) + 0.0).tolist())
-
-
-def _from_fraction(axis: Axis, u: float) -> Value:
-    """A fraction of the unit interval -> a value, each level of a discrete axis equally likely."""
-    if isinstance(axis, Categorical):
-        return axis.choices[min(int(u * axis.width), axis.width - 1)]
-    if isinstance(axis, Integer):
-        return int(axis.low) + min(int(u * (axis.high - axis.low + 1)), int(axis.high - axis.low))
-    return axis.decode(np.array([[u]]))[0]
 
 
 def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:

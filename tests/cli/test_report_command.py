@@ -40,27 +40,7 @@ def test_studies_and_matrices_become_one_page(mbtl_command, tmp_path, stored):
     text = (tmp_path / "new" / "page.html").read_text(encoding="utf-8")
     assert done["bytes"] == len(text.encode())
     assert text.count("<article") == 2
-    assert "mbtl-refresh" not in text.split("<style>")[0]
-
-
-def test_a_live_page_is_written_until_the_study_is_finished(
-    mbtl_command, tmp_path, stored, monkeypatch
-):
-    pages = []
-
-    def wait(seconds):
-        pages.append((tmp_path / "report.html").read_text(encoding="utf-8"))
-        tell_one(stored)
-
-    monkeypatch.setattr("mbtl.cli.report.time.sleep", wait)
-    code, _, err = mbtl_command("report", "s", "--live", "5")
-    assert code == 0, err
-    (first,) = pages
-    last = (tmp_path / "report.html").read_text(encoding="utf-8")
-    head = '<meta name="mbtl-refresh" content="5">'
-    assert (head in first, head in last) == (True, False)
-    assert "1 trainings, 12 contexts, under way" in first
-    assert "2 trainings, 12 contexts, finished" in last
+    assert "1 trainings, 12 contexts, under way" in text
 
 
 @pytest.mark.parametrize(
@@ -68,7 +48,6 @@ def test_a_live_page_is_written_until_the_study_is_finished(
     [
         (["nothing-here"], "no study or matrix is called"),
         (["s", "-o", "page.txt"], "ends in .html"),
-        (["s", "--live", "0"], "2 seconds or more"),
         (["pendulum-length", "--seed", "7"], "--seed must be from 0 to 2"),
         (["pendulum-length", "--name", "s", "--budget", "1"], "--name is of a study, and no study"),
         (["s", "--name", "t"], "no study is called 't'. Known: s."),

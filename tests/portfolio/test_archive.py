@@ -119,7 +119,7 @@ def used(folder):
     """Everything that is done with a portfolio."""
     portfolio = load_portfolio(folder)
     portfolio.explain({"length": 0.7})
-    portfolio.assignment, portfolio.value, repr(portfolio)
+    portfolio.routing.route, portfolio.value, repr(portfolio)
     for i in range(len(portfolio)):
         portfolio.policy(i).predict(np.zeros(1))
     return portfolio

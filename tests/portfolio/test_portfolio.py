@@ -45,7 +45,7 @@ def act(policy):
 
 def test_every_context_gets_the_policy_that_returned_most_there():
     portfolio = make()
-    assert portfolio.assignment.tolist() == [0, 0, 1, 1, 1]
+    assert portfolio.routing.route.tolist() == [0, 0, 1, 1, 1]
     row = "<td>1</td><td>length = 0.5 m</td><td>500</td><td>2</td>"
     assert row in portfolio._repr_html_()
     assert portfolio.value == pytest.approx((500 + 400 + 300 + 450 + 500) / 5 / 500)
@@ -156,7 +156,7 @@ def test_a_context_without_evaluation_is_predicted_and_says_so():
 
 def test_smaller_is_better_when_the_bounds_say_so():
     portfolio = make(bounds=Bounds(0, 500, "minimize"))
-    assert portfolio.assignment.tolist() == [1, 1, 0, 0, 0]
+    assert portfolio.routing.route.tolist() == [1, 1, 0, 0, 0]
     choice = portfolio.explain({"length": 1.25})
     assert (choice.policy, choice.predicted_return) == (1, pytest.approx(200.0))
     assert choice.margin == pytest.approx(100.0)

@@ -174,7 +174,7 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
         study.tell(pick, np.full((N, 2), 0.9))
     portfolio = study.portfolio()
     nearest = np.abs(np.arange(N)[:, None] - np.array(sources)).argmin(axis=1)
-    assert portfolio.assignment.tolist() == nearest.tolist()
+    assert portfolio.routing.route.tolist() == nearest.tolist()
     plan = plan_of(study)
     assert plan.route.tolist() == nearest.tolist()
     assert summarise_study(study).serving == tuple(nearest)

@@ -266,7 +266,7 @@ def test_policies_evaluated_on_a_few_targets_only():
     truth = np.max([row(s) for s in study.history.sources], axis=0).mean()
     assert study.value == pytest.approx(truth, abs=0.05)
     assert (np.diff(study.curve) >= 0).all()
-    assert study.portfolio().assignment.shape == (N,)
+    assert study.portfolio().routing.route.shape == (N,)
     study.tell(0, [0.5, 0.6], targets=[0, 19])
     assert study.history.rows[-1, 19] == 0.6
     for wrong in ([], [3, 3], [20], [-1]):
@@ -336,7 +336,7 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
     study = told_partly(new(strategy="auto", eval_targets=5), 4)
     portfolio = study.portfolio()
     assert portfolio.value == pytest.approx(study.value)
-    assert portfolio.assignment.tolist() == study.routing.route.tolist()
+    assert portfolio.routing.route.tolist() == study.routing.route.tolist()
     assert portfolio.routing.believed == pytest.approx(study.routing.believed)
     shown = portfolio.explain(SPACE.context(1))
     assert shown.basis == "predicted"

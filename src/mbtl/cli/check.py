@@ -33,28 +33,13 @@ def check(
         int | None, typer.Option(help="Environment steps per rollout; default: the CMDP's, or 200.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of resets and actions.")] = 0,
-    physics: Annotated[
-        str | None,
-        typer.Option(help="Physics of our CMDPs: intended or reference.", show_default=False),
-    ] = None,
-    visibility: Annotated[
-        str | None,
-        typer.Option(help="What the policy sees: hidden, multiplier or raw.", show_default=False),
-    ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Check that every axis acts, contexts do not leak, resets are deterministic, numbers finite.
 
     Example: mbtl check my_simulator:make_env --axis length=0.1:2.0:m
     """
-    found: Any = load_object(target) if ":" in target else None
-    if found is None:
-        found = resolve_cmdp(target, physics=physics, visibility=visibility)
-    elif physics is not None or visibility is not None:
-        raise InvalidInput(
-            f"physics and visibility are switches of our CMDPs, got them with {target!r}; set them "
-            "in your own code"
-        )
+    found: Any = load_object(target) if ":" in target else resolve_cmdp(target)
     space = None
     if not isinstance(found, CMDP):
         space = _contexts(found, target, axis or [])

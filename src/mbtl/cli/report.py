@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,15 +10,13 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, print_json, printer
 from mbtl.cli.study import open_study
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provider import laboratory
 from mbtl.report import Subject, of_study, write_page
 from mbtl.study import Study
 from mbtl.study.database import check_path
-
-_LEAST = 2.0
 
 
 def report(
@@ -40,14 +37,6 @@ def report(
     ] = "specialists",
     budget: Annotated[int, typer.Option(help="Number of trainings K on a matrix.")] = 15,
     seed: Annotated[int, typer.Option(help="Matrix seed that is replayed.")] = 0,
-    live: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Write the page again at this interval, until all studies are finished; "
-            "the page loads itself again.",
-        ),
-    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write a page with everything that a study or a transfer matrix shows.
@@ -61,23 +50,11 @@ def report(
     """
     if out.suffix != ".html" or out.is_dir():
         raise InvalidInput(f"--out must be a file that ends in .html, got {str(out)!r}")
-    if live is not None and live < _LEAST:
-        raise InvalidInput(f"--live takes {_LEAST:g} seconds or more, got {live:g}")
     replayed = partial(laboratory().subject, selector=selector, budget=budget, seed=seed)
     opened = [one for given in subjects for one in _open(given, name or [None], replayed)]
     if name and all(isinstance(one, Subject) for one in opened):
         raise InvalidInput(f"--name is of a study, and no study is given, got {name[0]!r}")
-
-    def made() -> list[Subject]:
-        return [of_study(one) if isinstance(one, Study) else one for one in opened]
-
-    found = made()
-    while live is not None and not all(subject.finished for subject in found):
-        write_page(found, out, refresh=live)
-        told = ", ".join(f"{one.name}: {len(one.history)} told" for one in found)
-        console.say(f"{out}: {told}; Ctrl-C ends")
-        time.sleep(live)
-        found = made()
+    found = [of_study(one) if isinstance(one, Study) else one for one in opened]
     write_page(found, out)
     size = out.stat().st_size
     if as_json:

@@ -87,8 +87,6 @@ def run(
     cost_budget: Annotated[float | None, _stop("What all trainings may cost.")] = None,
     costs: Annotated[Path | None, _stop("Text file: cost of each context.")] = None,
     stop_value: Annotated[float | None, _stop("End when V reaches this.")] = None,
-    stop_gain: Annotated[float | None, _stop("End when one more gains less than this.")] = None,
-    stop_confidence: Annotated[float, _stop("How sure of that.")] = 0.9,
     whole_budget: Annotated[bool, _stop("End only when all is spent.", "--all")] = False,
     no_report: Annotated[bool, _stop("No fresh episodes at the end.", "--no-report")] = False,
     report_all: Annotated[bool, _stop("Those on all contexts there are.", "--report-all")] = False,
@@ -149,10 +147,7 @@ def run(
         objective=Objective(risk=risk),
         evaluation=Evaluation(eval_targets),
         stopping=Stopping(
-            stop_value,
-            stop_gain,
-            None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
-            stop_confidence,
+            stop_value, left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT
         ),
         seed=seed,
         storage=folder / "study.db" if workers is None else workers,

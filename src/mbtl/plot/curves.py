@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,16 +17,6 @@ V_LABEL = "generalisation performance V"
 _DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _BLUE = "#0072B2"
 _MARKS = "osD^vPX*"
-
-
-class Comparison(Protocol):
-    """What is drawn; what `mbtl.compare` gives is one."""
-
-    @property
-    def results(self) -> Sequence[Any]: ...  # noqa: D102
-
-    @property
-    def summary(self) -> Any: ...  # noqa: D102
 
 
 @styled
@@ -74,7 +64,7 @@ def curve(
 
 
 @styled
-def comparison(comparison: Comparison, matrix: str | None = None, *, ax: Any = None) -> Any:
+def comparison(comparison: Any, matrix: str | None = None, *, ax: Any = None) -> Any:
     """V against k of every selector of a comparison on one matrix; bands span the matrix seeds.
 
     Args:

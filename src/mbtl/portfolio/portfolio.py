@@ -28,7 +28,7 @@ from mbtl.portfolio.adaptive import Adaptive
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
-from mbtl.routing import Indices, Routing, rank
+from mbtl.routing import Routing, rank
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,11 +143,6 @@ class Portfolio:
         """Who serves which listed context, what that is worth, and how sure."""
         played = Episodes(self.episodes, self.bounds) if self.episodes else None
         return Routing(self.space, self.sources, self.performance, played, risk=self.risk)
-
-    @property
-    def assignment(self) -> Indices:
-        """(N,) position of the policy that serves each listed context: the policy map."""
-        return self.routing.route
 
     def explain(
         self, context: Mapping[str, Value], *, outside: Literal["error", "nearest"] = "error"

@@ -121,7 +121,7 @@ def _cell(space: ContextSpace, here: Array) -> tuple[Indices, Array] | None:
         start += axis.width
         if isinstance(axis, Categorical):
             listed = list(dict.fromkeys(space.values(axis.name)))
-            value = axis.decode(part[None, :])[0]
+            value = axis.choices[int(part.argmax())]
             if value not in listed:
                 return None
             corners.append([(listed.index(value), 1.0)])

@@ -29,15 +29,12 @@ _SCORE = (
 )
 
 
-def write_page(
-    subjects: Sequence[Subject], path: str | Path, *, refresh: float | None = None
-) -> Path:
+def write_page(subjects: Sequence[Subject], path: str | Path) -> Path:
     """Write a report of one or more subjects.
 
     Args:
         subjects: studies and matrices.
         path: file to write; it is replaced whole.
-        refresh: seconds after which the page loads itself again; None: it is final.
 
     Raises:
         InvalidInput: the path is a folder.
@@ -47,14 +44,14 @@ def write_page(
     path = Path(path)
     if path.is_dir():
         raise InvalidInput(f"a page is a file, and {path} is a folder; give {path / 'report.html'}")
-    text = page(subjects, refresh=refresh)
+    text = page(subjects)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         file.write(text.encode("utf-8"))
     return path
 
 
-def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
+def page(subjects: Sequence[Subject]) -> str:
     """The page as text; see `write_page`."""
     items = [content(one) for one in subjects]
     title = ", ".join(subject.name for subject in subjects)
@@ -63,7 +60,6 @@ def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
         "CSS": _file("page.css"),
         "BODY": "\n".join(map(_article, range(len(items)), subjects, items)),
         "CHOICE": _choice(subjects),
-        "REFRESH": "" if refresh is None else f'<meta name="mbtl-refresh" content="{refresh:g}">',
         "VERSION": html.escape(__version__),
         "DATA": packed(items),
         "PLOTLY": compressed(_plotly().encode("utf-8")),

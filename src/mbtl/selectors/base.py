@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -193,14 +193,12 @@ class Outlook:
         mean: (N,) of J(pi_x, x), the training performance on every context.
         std: (N,) its standard deviation.
         gain: (N,) acquisition of a training on every context, in V; NaN where it was not asked.
-        drawn: source -> samples of the gain in V of a training there; None: the model has no such.
     """
 
     model: str
     mean: Array
     std: Array
     gain: Array
-    drawn: Callable[[int], Array] | None = None
 
 
 class Exhausted(StudyError):

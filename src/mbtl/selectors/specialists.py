@@ -111,7 +111,7 @@ class Specialists:
         gain = np.full(problem.n, np.nan)
         row_gain = self._judged(problem, beliefs)
         gain[candidates] = row_gain.expected(candidates)
-        return Outlook("specialists", *row_gain.model.predict_pairs(own), gain, row_gain.drawn)
+        return Outlook("specialists", *row_gain.model.predict_pairs(own), gain)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Conditioned

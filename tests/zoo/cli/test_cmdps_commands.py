@@ -19,6 +19,7 @@ def make_env(context):
     return CartPole(context, physics="reference")
 
 cmdp = get_cmdp("pendulum-mass")
+dead = get_cmdp("cartpole-masscart", physics="reference", visibility="hidden")
 number = 3
 """
 
@@ -82,12 +83,12 @@ def test_presets_of_every_engine_are_shown(run):
     assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget
 
 
-def test_check_fails_a_dead_axis_after_showing_the_report(run):
-    result = run("check", "cartpole-masscart", "--physics", "reference", "--visibility", "hidden")
+def test_check_fails_a_dead_axis_after_showing_the_report(run, own):
+    result = run("check", f"{own}:dead")
     assert isinstance(result.exception, CheckFailed)
     assert "failed" in result.stdout
     assert "11 of 12 checks hold, 1 failed" in result.stdout
-    as_json = run("check", "cartpole-masscart", "--physics", "reference", "--json")
+    as_json = run("check", f"{own}:dead", "--json")
     assert json.loads(as_json.stdout)["ok"] is False
     assert isinstance(as_json.exception, CheckFailed)
 
@@ -106,11 +107,9 @@ def test_check_on_a_user_s_factory_and_problem(run, own):
     [
         (("cartpole-lenght",), UnknownName, "Did you mean 'cartpole-length'"),
         (("cartpole-length", "--axis", "x=0:1"), InvalidInput, "has its axes already"),
-        (("cartpole-length", "--physics", "true"), UnknownName, "physics"),
         (("{own}:make_env",), InvalidInput, "add --axis"),
         (("{own}:number",), InvalidInput, "must be a CMDP or a function"),
         (("{own}:cmdp", "--axis", "x=0:1"), InvalidInput, "has its axes already"),
-        (("{own}:cmdp", "--visibility", "raw"), InvalidInput, "switches of our CMDPs"),
         (("{own}:make_env", "--axis", "length"), InvalidInput, "an axis is written"),
     ],
 )

@@ -62,7 +62,7 @@ def reported(seed, folder):
     found = json.loads(done.stdout)
     portfolio = mbtl.load_portfolio(folder / "portfolio", load=load)
     rows = [true_returns(portfolio.policy(i), SPACE.contexts) for i in range(len(portfolio))]
-    true = float(np.array(rows)[portfolio.assignment, np.arange(SPACE.n)].mean())
+    true = float(np.array(rows)[portfolio.routing.route, np.arange(SPACE.n)].mean())
     said = [(found["value"], found["value_margin"]), (found["fresh_value"], found["fresh_margin"])]
     return np.array([(v - true, margin) for v, margin in said])
 

@@ -402,12 +402,6 @@
     for (const [box, part] of state.drawn) pictures[part](+box.closest("article").dataset.item, box);
   }
 
-  const memory = {
-    key: "mbtl:" + location.pathname,
-    keep() { try { sessionStorage.setItem(this.key, JSON.stringify({ y: scrollY, which: state.which, steps: state.steps, theme: root.dataset.theme || "" })); } catch { /* private */ } },
-    recall() { try { return JSON.parse(sessionStorage.getItem(this.key)) || {}; } catch { return {}; } },
-  };
-
   function show(which) {
     state.which = which;
     document.querySelectorAll("article").forEach((one) => (one.hidden = +one.dataset.item !== which));
@@ -420,18 +414,12 @@
     document.head.append(script);
     const length = new DataView(data).getUint32(0, true), first = Math.ceil((length + 4) / 8) * 8;
     state.items = revive(JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))), data, first);
-    const refresh = document.querySelector('meta[name="mbtl-refresh"]'), before = refresh ? memory.recall() : {};
-    state.steps = state.items.map((item, i) => {
-      const kept = before.steps?.[i], k = item.sources.length;
-      return kept && kept < k - 1 ? kept : k;
-    });
-    if (before.theme) root.dataset.theme = before.theme;
+    state.steps = state.items.map((item) => item.sources.length);
     theme();
     byId("theme").addEventListener("click", () => theme(byId("theme").getAttribute("aria-pressed") === "true" ? "light" : "dark"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => theme());
     byId("which")?.addEventListener("change", (event) => show(+event.target.value));
-    if (byId("which")) byId("which").value = before.which || 0;
-    show(before.which || 0);
+    show(0);
 
     const near = new IntersectionObserver((seen) => seen.forEach(({ isIntersecting, target }) => {
       if (!isIntersecting || state.drawn.has(target)) return;
@@ -449,10 +437,6 @@
       input.value = +input.value + step;
       input.dispatchEvent(new Event("input"));
     });
-    if (refresh) {
-      if (before.y) setTimeout(() => scrollTo(0, before.y), 50);
-      setTimeout(() => { memory.keep(); location.reload(); }, 1000 * +refresh.content);
-    }
     requestAnimationFrame(() => setTimeout(() => (root.dataset.ready = Math.round(performance.now())), 0));
   }
   start();
