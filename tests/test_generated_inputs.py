@@ -182,7 +182,6 @@ def test_asking_and_telling(pick, returns, targets, cost, seconds, n):
         study.void(pick, "wrong")
     with ours():
         study.fail(study.ask(), targets)
-    study.trainings.html("")
 
 
 @generated

@@ -175,13 +175,6 @@ class Routing:
         return self._before[k]
 
     @cached_property
-    def routes(self) -> Indices:
-        """(k, N) positions of the serving policies after 1, 2, ..., k trainings."""
-        if self.beliefs.exact:
-            return routes(self.rows, self.sources, self.space.steps)
-        return np.array([self.after(k).route for k in range(1, len(self) + 1)])
-
-    @cached_property
     def route(self) -> Indices:
         """(N,) positions of the policies that serve now."""
         found = self._route(np.arange(self.space.n))

@@ -1,4 +1,3 @@
-import hashlib
 import json
 import os
 import shutil
@@ -21,12 +20,6 @@ def rewritten(folder, change):
     change(manifest)
     path.write_text(json.dumps(manifest))
     return folder
-
-
-def listing(folder, name, content):
-    """The portfolio with one more file in the folder of its first policy, listed with its hash."""
-    listed = {f"policies/source-0000/{name}": hashlib.sha256(content).hexdigest()}
-    return rewritten(folder, lambda m: m["files"].update(listed))
 
 
 def custom(saved):
@@ -82,19 +75,6 @@ def test_links_and_pipes_are_neither_copied_nor_read(tmp_path):
     os.mkfifo(folder / "pipe")
     with pytest.raises(StorageError, match="got the pipe or device"):
         load_portfolio(folder)
-
-
-def test_names_that_differ_in_case_alone_are_refused_both_ways(tmp_path):
-    folder = make().save(tmp_path / "p")
-    (folder / "policies" / "source-0000" / "Weights.NPZ").write_bytes(b"x")
-    with pytest.raises(StorageError, match="differ in more than case"):
-        load_portfolio(listing(folder, "Weights.NPZ", b"x"))
-    saved = tmp_path / "saved"
-    saved.mkdir()
-    (saved / "a").write_text("")
-    (saved / "A").write_text("")
-    with pytest.raises(StorageError, match="differ in more than case"):
-        custom(saved).save(tmp_path / "q")
 
 
 def test_a_zip_that_can_run_code_needs_trust(tmp_path, monkeypatch):

@@ -46,8 +46,6 @@ def act(policy):
 def test_every_context_gets_the_policy_that_returned_most_there():
     portfolio = make()
     assert portfolio.routing.route.tolist() == [0, 0, 1, 1, 1]
-    row = "<td>1</td><td>length = 0.5 m</td><td>500</td><td>2</td>"
-    assert row in portfolio._repr_html_()
     assert portfolio.value == pytest.approx((500 + 400 + 300 + 450 + 500) / 5 / 500)
     assert act(portfolio.policy_for({"length": 0.5})) == 0
     assert act(portfolio.policy_for({"length": 2.5})) == 1

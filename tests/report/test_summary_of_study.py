@@ -179,7 +179,7 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
     assert plan.route.tolist() == nearest.tolist()
     assert summarise_study(study).serving == tuple(nearest)
     for k in (1, 2):  # and so for every prefix
-        assert study.routing.routes[k - 1].max() < k
+        assert study.routing.after(k).route.max() < k
 
 
 class InTurn:

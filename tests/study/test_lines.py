@@ -79,18 +79,6 @@ def test_a_run_says_what_it_gave():
     assert "4 trainings told" in repr(result)
 
 
-def test_notebooks_show_tables_in_which_nothing_is_code():
-    study = study_of(name="<b>mine</b>")
-    study.fail(study.ask(), "<script>alert(1)</script>")
-    result = study.run(trainer=TRAINER, progress=False)
-    for shown in (study, study.trainings, result, result.portfolio()):
-        page = shown._repr_html_()
-        assert page.startswith("<table>")
-        assert "<script>" not in page
-        assert "<b>" not in page
-    assert "&lt;script&gt;" in study._repr_html_()
-
-
 class Ends(mbtl.Callback):
     def __init__(self, at):
         self.at = at

@@ -17,8 +17,7 @@ import json
 import platform
 import shutil
 import tempfile
-import unicodedata
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -188,7 +187,6 @@ def _fill(
     np.savez(root / RETURNS, **arrays)  # type: ignore[arg-type]
     folders = [_write_policy(root, *policy) for policy in policies]
     files = regular_files(root, OWNER)
-    _check_distinct(files, root)
     manifest = {
         "kind": KIND,
         "format": FORMAT,
@@ -303,7 +301,6 @@ def _read_manifest(folder: Path) -> Record:
 def _check_files(folder: Path, listed: Mapping[str, str]) -> None:
     for name in listed:
         inside(folder, name, OWNER)
-    _check_distinct(listed, folder)
     found = set(regular_files(folder, OWNER))
     for name, digest in listed.items():
         if name not in found:
@@ -320,18 +317,6 @@ def _check_files(folder: Path, listed: Mapping[str, str]) -> None:
             f"a portfolio holds only what its manifest lists, got {name} in {folder}; move it "
             "elsewhere, or copy the portfolio again"
         )
-
-
-def _check_distinct(names: Iterable[str], folder: Path) -> None:
-    """Names that differ in case alone are one file on some systems."""
-    seen: dict[str, str] = {}
-    for name in names:
-        same = seen.setdefault(unicodedata.normalize("NFC", name).casefold(), name)
-        if same is not name:
-            raise StorageError(
-                f"names of files must differ in more than case, got {same!r} and {name!r} in "
-                f"{folder}; rename one"
-            )
 
 
 def _sha256(path: Path) -> str:

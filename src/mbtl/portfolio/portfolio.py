@@ -21,7 +21,6 @@ from mbtl.contexts import ContextSpace, Value
 from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import MALFORMED
-from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
 from mbtl.portfolio.adaptive import Adaptive
@@ -298,13 +297,6 @@ class Portfolio:
 
     def __repr__(self) -> str:
         return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
-
-    def _repr_html_(self) -> str:
-        counts = np.bincount(self.routing.route, minlength=len(self))
-        there = self.returns[np.arange(len(self)), list(self.sources)]
-        words = map(self.trained_on, range(len(self)))
-        lines = zip(range(1, len(self) + 1), words, there.tolist(), counts.tolist(), strict=True)
-        return table(repr(self), ("policy", "trained on", "return there", "contexts"), lines)
 
     def _saved_policies(self) -> list[SavedPolicy]:
         names: list[str] = []

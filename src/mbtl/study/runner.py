@@ -163,9 +163,6 @@ class RunResult:
             f"V = {self.value:.4f} {where}, {self.seconds:.1f} s; {self.stop_reason})"
         )
 
-    def _repr_html_(self) -> str:
-        return self.trainings.html(repr(self))
-
 
 def run(
     study: Study,

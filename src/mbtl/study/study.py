@@ -269,9 +269,6 @@ class Study:
         """What became of each pick, and of rows that nobody asked for, one typed line each."""
         return trainings_of(self.refresh(), self.watch())
 
-    def _repr_html_(self) -> str:
-        return self.trainings.html(repr(self))
-
     @property
     @_alone
     def orphans(self) -> list[int]:

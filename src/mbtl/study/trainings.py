@@ -8,7 +8,6 @@ from typing import Any, Literal
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import missing_extra
-from mbtl.notebook import table
 from mbtl.study.leases import Watch
 from mbtl.study.records import Failure, PickRecord
 from mbtl.study.state import StudyState
@@ -101,26 +100,6 @@ class Trainings(tuple[Training, ...]):
             for one in self
         ]
         return pandas.DataFrame(lines, columns=list(lines[0]) if lines else names)
-
-    def html(self, title: str) -> str:
-        """For notebooks, with a caption."""
-        heads = ("pick", "context", "state", "return there", "V after it", "worker", "")
-        lines = [
-            (
-                None if one.number is None else one.number + 1,
-                ", ".join(f"{axis} = {value}" for axis, value in one.context.items()),
-                one.state,
-                one.home_return,
-                one.value,
-                one.worker,
-                one.error or one.reason,
-            )
-            for one in self
-        ]
-        return table(title, heads, lines)
-
-    def _repr_html_(self) -> str:
-        return self.html(f"{len(self)} trainings")
 
 
 def trainings_of(state: StudyState, watch: Watch) -> Trainings:
