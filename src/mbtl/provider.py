@@ -3,6 +3,16 @@
     [project.entry-points."mbtl.providers"]
     zoo = "mbtl.zoo.provider"
 
+It is a module with
+    names, commands      name -> "module:object": what `mbtl` shows of it, and commands of the
+                         command line, each a function or a `typer.Typer`
+    ids(), get(id, **switches)
+                         ids of CMDPs, and a `mbtl.CMDP` by id
+    subjects(), subject(given, selector=, budget=, seed=)
+                         names that it knows beside paths, and what one shows on a page, a
+                         `mbtl.report.Subject`; None: it is not one of these
+    curves(study)        what stands beside a study, `mbtl.report.ReferenceCurves`; None: nothing
+
 The tool imports no module of the laboratory, nor of the engine. A CMDP of another package needs no
 provider of its own (`mbtl.problems.loading`).
 """
@@ -10,54 +20,17 @@ provider of its own (`mbtl.problems.loading`).
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import entry_points
-from typing import Any, Protocol
+from typing import Any
 
 GROUP = "mbtl.providers"
 _BESIDE = "mbtl.zoo.provider"
 """The one of this distribution: metadata lack it where a tree of sources is run as it is."""
 
 
-class Laboratory(Protocol):
-    """A provider. Records and pictures are those of the layers that ask for them.
-
-    Attributes:
-        names: what `mbtl` shows of it, name -> "module:object".
-        commands: of the command line, name -> "module:object", a function or a `typer.Typer`.
-    """
-
-    @property
-    def names(self) -> Mapping[str, str]: ...  # noqa: D102
-
-    @property
-    def commands(self) -> Mapping[str, str]: ...  # noqa: D102
-
-    def ids(self) -> Sequence[str]:
-        """Of the CMDPs that `get` makes."""
-        ...
-
-    def get(self, id: str, **switches: Any) -> Any:
-        """A `mbtl.CMDP` by id."""
-        ...
-
-    def subjects(self) -> Sequence[str]:
-        """Names that `subject` takes, beside paths."""
-        ...
-
-    def subject(self, given: str, *, selector: str, budget: int, seed: int) -> Any:
-        """What a name or a path shows on a page (`mbtl.report.Subject`); None: not one of ours."""
-        ...
-
-    def curves(self, study: Any) -> Any:
-        """What stands beside a study (`mbtl.report.ReferenceCurves`); None: nothing known."""
-        ...
-
-
 @cache
-def laboratory() -> Laboratory:
+def laboratory() -> Any:
     """The provider, imported on first use."""
     declared = [point.value for point in entry_points(group=GROUP)]
-    found: Laboratory = pkgutil.resolve_name(declared[0] if declared else _BESIDE)
-    return found
+    return pkgutil.resolve_name(declared[0] if declared else _BESIDE)

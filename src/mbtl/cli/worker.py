@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
 from typing import Annotated, Any
 
@@ -93,7 +92,7 @@ def worker(
         str | None, _option("End within this time: 90m, 2h, 1:30:00 or seconds.", metavar="TIME")
     ] = None,
     until: Annotated[
-        str | None, _option("End before: 2030-01-31T18:00, or seconds of 1970.", metavar="MOMENT")
+        float | None, _option("End before: seconds since 1970, as SLURM_JOB_END_TIME has.")
     ] = None,
     no_wait: Annotated[
         bool, _option("End when nothing is left to begin; others may be training.", "--no-wait")
@@ -181,13 +180,16 @@ def check_evaluated(study: Study) -> None:
         )
 
 
-def _end(wall_time: str | None, until: str | None) -> WallTime | None:
+def _end(wall_time: str | None, until: float | None) -> WallTime | None:
     """When to be over, a little early; None: whenever the study is."""
     if wall_time is not None and until is not None:
         raise InvalidInput("an end is given as --wall-time or as --until, got both; leave one out")
-    if wall_time is None and until is None:
+    if wall_time is not None:
+        seconds = _seconds(wall_time)
+    elif until is not None:
+        seconds = until - time.time()
+    else:
         return None
-    seconds = _seconds(wall_time) if wall_time is not None else _moment(str(until)) - time.time()
     if seconds <= 0.0:
         raise InvalidInput(f"the time of a worker ends in the future, got {wall_time or until!r}")
     return WallTime(time.monotonic() + seconds - min(_RESERVE, seconds / 10.0))
@@ -203,19 +205,6 @@ def _seconds(text: str) -> float:
         hours, minutes, seconds = parts if len(parts) == 3 else (0, *parts)
         return float(int(days or 0) * 86400 + hours * 3600 + minutes * 60 + seconds)
     raise InvalidInput(f"--wall-time is written 90m, 2h, 1:30:00 or in seconds, got {text!r}")
-
-
-def _moment(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        pass
-    try:
-        return datetime.fromisoformat(text).timestamp()
-    except ValueError:
-        raise InvalidInput(
-            f"--until is a moment as 2030-01-31T18:00, or seconds since 1970, got {text!r}"
-        ) from None
 
 
 @contextmanager

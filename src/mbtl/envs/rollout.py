@@ -17,7 +17,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from mbtl.seeds import action_seed
 __all__ = [
     "ENDED",
     "Actor",
-    "Env",
     "Job",
     "play",
 ]
@@ -47,24 +46,6 @@ ENDED = "mbtl.simulation_ended"
 """Key of one agent's info when the simulation of a team has ended."""
 
 
-class Env(Protocol):
-    """The part of `gymnasium.Env` that rollouts use."""
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
-        ...
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Observation, reward, terminated, truncated, info."""
-        ...
-
-    def close(self) -> None:
-        """Free what the environment holds."""
-        ...
-
-
 @dataclass(frozen=True)
 class Job:
     """Episodes to play in one environment.
@@ -76,7 +57,7 @@ class Job:
         measures: keys of the last step's `info`, of numbers to note beside that.
     """
 
-    open_env: Callable[[], Env]
+    open_env: Callable[[], Any]
     seeds: Sequence[int]
     score: Score | None = None
     measures: Sequence[str] = ()

@@ -4,42 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
 
 
-class Matrix(Protocol):
-    """What is drawn; a `mbtl.TransferMatrix` is one."""
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-
-    @property
-    def space(self) -> ContextSpace: ...  # noqa: D102
-
-    @property
-    def trained(self) -> Any: ...  # noqa: D102
-
-    @property
-    def n(self) -> int: ...  # noqa: D102
-
-    @property
-    def n_seeds(self) -> int: ...  # noqa: D102
-
-    def shown(self, seed: int | None) -> Array:
-        """(M, N) performance; of all seeds the mean."""
-        ...
-
-
 @styled
 def matrix(
-    matrix: Matrix,
+    matrix: Any,
     seed: int | None = None,
     *,
     picks: Sequence[int] = (),
@@ -52,7 +27,7 @@ def matrix(
     belong to the nearest one.
 
     Args:
-        matrix: (S, M, N) returns, M sources, N targets.
+        matrix: a `mbtl.TransferMatrix`: (S, M, N) returns, M sources, N targets.
         seed: matrix seed; None: the mean over all.
         picks: sources to mark, in the order they were trained.
         ax: axes to draw on; None: new ones.

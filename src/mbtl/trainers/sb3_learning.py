@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.envs.rollout import ENDED, Actor, Env, Job, end, play
+from mbtl.envs.rollout import ENDED, Actor, Job, end, play
 from mbtl.errors import InvalidInput, SimulationFailed, TrainingFailed
 from mbtl.files import whole_file
 from mbtl.score import Score
@@ -149,7 +149,7 @@ class BestCheckpoint:
 
     def __init__(
         self,
-        envs: Sequence[Env],
+        envs: Sequence[Any],
         seeds: Sequence[int],
         every: int,
         *,
@@ -269,7 +269,7 @@ def _ends(info: Mapping[str, Any]) -> bool:
     return "episode" in info or ENDED in info
 
 
-def _same(env: Env) -> Env:
+def _same(env: Any) -> Any:
     return env
 
 

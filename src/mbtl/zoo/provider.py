@@ -1,4 +1,4 @@
-"""What the laboratory gives the tool: see `mbtl.provider.Laboratory`.
+"""What the laboratory gives the tool: see `mbtl.provider`.
 
 Nothing of it is imported before it is asked for.
 """
