@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import mbtl
 from flat import created
 from mbtl.plot.maps import LABELS
-from mbtl.plot.style import distinct
 from mbtl.selectors.outlook import outlook
 from mbtl.zoo.benchmark import TransferMatrix
 
@@ -143,17 +141,6 @@ def test_more_axes_are_one_map_at_the_middle_of_the_others_and_points_one_of_all
     assert len(ax.collections[0].get_offsets()) == 40
 
 
-def test_colours_of_policies_are_told_apart():
-    """By their distance in CIELAB, of which a just noticeable difference is 2.3."""
-    rgb = np.array([to_rgb(colour) for colour in distinct(15)])
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    mixed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    f = np.cbrt(linear @ np.array(mixed).T / [0.9505, 1.0, 1.089])
-    lab = np.stack([116 * f[:, 1], 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
-    apart = np.linalg.norm(lab[:, None] - lab, axis=-1)[np.triu_indices(15, 1)]
-    assert apart.min() > 30
-
-
 def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
     study = created(space, budget=3, bounds=(0.0, 1.0))
@@ -258,14 +245,3 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_command, monkeypat
     assert chance.source.isna().all()
     with pytest.raises(mbtl.MbtlError, match=r"matrix must be one of .* plot\('synthetic"):
         comparison.plot("other")
-
-
-def test_what_people_print_in_a_notebook_is_short():
-    matrix = TransferMatrix.of(np.zeros((2, N, N)), space=LINE, bounds=(0, 1), name="toy")
-    assert repr(matrix) == (
-        "TransferMatrix('toy': 2 seeds, 20 sources x 20 targets; "
-        "ContextSpace(mass [kg]; 20 contexts))"
-    )
-    study = study_on(LINE, 2)
-    for shown in (matrix, study, study.portfolio()):
-        assert len(repr(shown)) < 200

@@ -138,14 +138,6 @@ def test_m_mbtl_covers_where_the_weight_is():
     assert max(history.sources) < 7
 
 
-def test_m_mbtl_never_trains_a_context_twice_even_when_the_grid_fills_up():
-    problem, history = problem_of(6, 6, 6, budget=216), History(216)
-    for _ in range(125):
-        source = MMBTL().propose(problem, history, np.random.default_rng(0)).source
-        history = history.with_pending(source)
-    assert len(set(history.pending)) == 125
-
-
 # ---- SD-MBTL ---------------------------------------------------------------------------------
 
 

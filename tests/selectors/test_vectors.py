@@ -24,7 +24,6 @@ from mbtl.selectors import (
 )
 from mbtl.selectors.base import served
 from mbtl.selectors.mbtl import ucb_weight
-from mbtl.selectors.mbtl_release import running_own_best
 
 GREEDY = {
     100: [49, 82, 16, 32, 65, 40, 73, 93, 5, 24, 57, 10, 87, 44, 77],
@@ -118,7 +117,7 @@ def test_the_fast_gp_gives_the_picks_of_the_papers_gp(selector):
 def test_release_trains_its_gp_on_the_running_best():
     rows = np.array([[0.5, 0.6, 0.1], [0.2, 0.4, 0.3], [0.0, 0.0, 0.9]])
     history = History(3, (0, 1, 2), rows)
-    assert running_own_best(history) == pytest.approx([0.5, 0.6, 0.9])
+    assert MBTLRelease()._observed(history) == pytest.approx([0.5, 0.6, 0.9])
 
 
 def test_release_counts_negative_performance_as_zero():

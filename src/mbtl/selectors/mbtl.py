@@ -89,7 +89,7 @@ class MBTL:
         early = start(problem, history, mask, self.warm_up)
         if early is not None:
             return early
-        gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
+        gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
         mean, std = gp.predict(problem.steps)
         gain, asked, notes = self._gain(problem, history, mask, gp, mean, std)
         kind = "expected" if self.acquisition == "ei" else "optimistic"
@@ -100,7 +100,7 @@ class MBTL:
         self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
     ) -> Outlook:
         """The posterior and the acquisition, with the number of the next pick."""
-        gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
+        gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
         mean, std = gp.predict(problem.steps)
         every = np.ones(problem.n, dtype=bool)
         gain, _, _ = self._gain(problem, history, every, gp, mean, std)
@@ -118,6 +118,7 @@ class MBTL:
         """(N,) acquisition, where it was asked, and notes; see `gain_by_pairs`."""
         where, theta = problem.steps, problem.theta
         best = observed_incumbent(problem, history, linear_rows(problem, gp))
+        best = np.maximum(best, self._least)
         if self.acquisition == "ei":
 
             def expected(x: Indices, t: Indices, weights: Array) -> Array:
@@ -126,8 +127,20 @@ class MBTL:
 
             return gain_by_pairs(problem, mask, expected)
         k = len(history) + len(history.pending) + 1
-        upper = mean + np.sqrt(ucb_weight(k, problem.n)) * std
+        upper = mean + np.sqrt(self._weight(k, problem.n)) * std
         return optimistic_gains(problem, mask, upper, best, theta)
+
+    # ---- what another form of the rule has otherwise --------------------------------------------
+
+    _least: ClassVar[float] = -np.inf
+    """Performance that a target counts as served with at least."""
+
+    def _weight(self, k: int, n: int) -> float:
+        return ucb_weight(k, n)
+
+    def _observed(self, history: History) -> Array:
+        """(k,) what the GP is fitted to."""
+        return history.training_performance
 
 
 @dataclass(frozen=True)
