@@ -56,18 +56,17 @@ def layer_of(name):
 
 
 @functools.cache
-def nodes(path):
-    """Imports and constants of a module, each with whether it is for type checkers alone."""
-    tree, kinds = ast.parse(path.read_text()), (ast.Import, ast.ImportFrom, ast.Constant)
-    every = [*ast.walk(tree)]
-    for_types = {
-        id(one)
-        for block in every
-        if isinstance(block, ast.If) and getattr(block.test, "id", "") == "TYPE_CHECKING"
-        for statement in block.body
-        for one in ast.walk(statement)
-    }
-    return [(node, id(node) in for_types) for node in every if isinstance(node, kinds)]
+def statements(path):
+    """Imports of a module, each with whether it is for type checkers alone."""
+    found, left = [], [(ast.parse(path.read_text()), False)]
+    while left:
+        node, for_types = left.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append((node, for_types))
+        for_types |= isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        inner = (ast.stmt, ast.ExceptHandler, ast.match_case)
+        left += [(one, for_types) for one in ast.iter_child_nodes(node) if isinstance(one, inner)]
+    return found
 
 
 @functools.cache
@@ -77,7 +76,7 @@ def imports(path, types=True):
     A module that is imported by `from package import module` has no name.
     """
     found = []
-    for node, for_types in nodes(path):
+    for node, for_types in statements(path):
         if for_types and not types:
             continue
         if isinstance(node, ast.Import):
@@ -220,12 +219,10 @@ def test_the_metadata_declare_the_provider_that_source_trees_use():
 def test_no_word_of_the_tool_leads_to_another_wing_but_the_provider():
     """Names of modules in strings count as imports, in documentation they do not."""
     named = {
-        f"{name_of(path)}: {node.value}"
+        f"{name_of(path)}: {word}"
         for path in modules()
         if layer_of(name_of(path)[5:]) in TOOL
-        for node, _ in nodes(path)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-        if re.fullmatch(r"mbtl\.(engine|zoo)[\w.]*(:\w+)?", node.value)
+        for word in re.findall(r'"(mbtl\.(?:engine|zoo)[\w.]*(?::\w+)?)"', path.read_text())
     }
     assert named == {"mbtl.provider: mbtl.zoo.provider"}
 
