@@ -135,8 +135,9 @@ def test_code_that_exits_is_a_failed_training_and_a_failed_check(folder, mbtl_co
     assert "sys.exit(0) was called" in out
 
 
-def test_a_training_that_never_reports_ends_at_its_limit(folder):
-    code, _, err = shell(folder, "MBTL run own.py:slow --timeout 0.3")
+@pytest.mark.usefixtures("folder")
+def test_a_training_that_never_reports_ends_at_its_limit(mbtl_command):
+    code, _, err = mbtl_command("run", "own.py:slow", "--timeout", "0.3")
     assert code == 1
     assert "it took longer than 0.3 s" in err
 
