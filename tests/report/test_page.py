@@ -129,6 +129,27 @@ def test_texts_can_be_read_without_scripts_and_names_are_no_markup():
     assert not re.search(r"""(src|href)=["'](?!data:|#)""", text.split('id="data"')[0])
 
 
+def test_a_page_begins_with_v_as_a_return_and_ends_in_what_to_do(tmp_path):
+    study = created(
+        SPACE, budget=2, bounds=(0.0, 200.0), problem="toy", strategy="mbtl",
+        storage=tmp_path / "study.db", name="study",
+    )  # fmt: skip
+    while (pick := study.ask()) is not None and len(study.trainings) < 2:
+        study.tell(
+            pick, 200.0 * (0.9 - 0.5 * np.abs(SPACE.unit[:, 0] - SPACE.unit[pick.source, 0]))
+        )
+    text = page([of_study(study)])
+    v = study.value
+    assert f'<p class="value">V = {v:.3f}</p><p>a mean return of {200 * v:.4g} over' in text
+    worst = int(study.routing.served.argmin())
+    listed = re.search(r"<h2>Served worst</h2>.*?</section>", text, re.DOTALL)[0]
+    assert listed.index(SPACE.describe(SPACE.context(worst))) < listed.index("policy")
+    assert listed.count("<tr>") == 6
+    assert f"policy_for({SPACE.context(10)!r})".replace("'", "&#x27;") in text
+    assert f"mbtl study show {tmp_path}" in text
+    assert re.search(r"created&quot;: &quot;20\d\d-\d\d-\d\d \d\d:\d\d", text)
+
+
 def test_a_study_without_rows_has_a_page_and_costs_are_said_where_they_are_counted():
     study = study_on(picks=0)
     text = page([of_study(study)])

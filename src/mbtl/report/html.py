@@ -23,6 +23,8 @@ from mbtl.report.packing import compressed, packed
 from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
+_WORST = 5
+"""Contexts that are listed as badly served."""
 _SCORE = (
     "The score is the gain in V by which contexts are ranked. It ranks well, "
     "and its size is no promise."
@@ -85,7 +87,7 @@ def _choice(subjects: Sequence[Subject]) -> str:
     if len(subjects) == 1:
         return ""
     options = "".join(
-        f'<option value="{i}">{html.escape(one.name)} ({one.kind})</option>'
+        f'<option value="{i}">{html.escape(f"{one.name}: {one.selector}")} ({one.kind})</option>'
         for i, one in enumerate(subjects)
     )
     return f'<label>Show <select id="which">{options}</select></label>'
@@ -101,13 +103,16 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
         f'<article data-item="{i}"{" hidden" if i else ""}>',
         f"<h1>{html.escape(subject.name)}</h1>",
         f'<p class="facts">{html.escape(facts)}</p>',
+        _headline(subject),
         *(f"<p>{html.escape(line)}</p>" for line in subject.sentences),
+        _next(subject),
     ]
     if told:
         parts += [
             _section("curve", "V after each training", f"V is measured on {subject.values_of}."),
             _picks(subject),
             _section("policies", "Which policy serves which context", ""),
+            _badly_served(subject),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
         ]
         if np.isfinite(item["steps"]["mean"]).any():
@@ -117,6 +122,41 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
         if space.d > 2:
             parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
     return "\n".join([*parts, _costs(subject), _provenance(subject.provenance), "</article>"])
+
+
+def _headline(subject: Subject) -> str:
+    if not subject.headline:
+        return ""
+    first, *others = subject.headline
+    rest = "".join(f"<p>{html.escape(line)}</p>" for line in others)
+    return f'<div class="headline"><p class="value">{html.escape(first)}</p>{rest}</div>'
+
+
+def _next(subject: Subject) -> str:
+    rows = "".join(
+        f"<li>{html.escape(what)}: <code>{html.escape(command)}</code></li>"
+        for what, command in subject.next_steps
+    )
+    return f"<section><h2>What to do next</h2><ul>{rows}</ul></section>" if rows else ""
+
+
+def _badly_served(subject: Subject) -> str:
+    """The contexts with the lowest performance: where another training, or a look, is due."""
+    routing, space = subject.routing, subject.space
+    if routing is None or space.n <= _WORST:
+        return ""
+    served = routing.served
+    rows = [
+        [
+            space.describe(space.context(int(i))),
+            f"policy {routing.route[i] + 1}, trained on "
+            + subject.picks[int(routing.route[i])].trained_on(space),
+            _number(float(served[i])),
+        ]
+        for i in np.argsort(served, kind="stable")[:_WORST]
+    ]
+    table = _table(["context", "served by", "performance"], rows)
+    return f"<section><h2>Served worst</h2>{table}</section>"
 
 
 def _picks(subject: Subject) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.report import beside
 from mbtl.report.reference import reference_curves
-from mbtl.report.summary import summarise_study
+from mbtl.report.summary import StudySummary, summarise_study
 from mbtl.report.text import lines
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
@@ -47,6 +48,8 @@ class Subject:
         sources: (M,) of those.
         provenance: how all this was made.
         finished: nothing will change any more.
+        headline: what comes first: V, and the same as a return, beside what needs no training.
+        next_steps: what to do now and its command, in that order.
     """
 
     kind: str
@@ -67,6 +70,8 @@ class Subject:
     sources: NDArray[np.intp] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     finished: bool = True
+    headline: tuple[str, ...] = ()
+    next_steps: tuple[tuple[str, str], ...] = ()
 
 
 def of_study(study: Study) -> Subject:
@@ -83,7 +88,7 @@ def of_study(study: Study) -> Subject:
         "trial": spec.trial,
         "budget": spec.budget if spec.steps is None else f"{spec.steps} environment steps",
         "mbtl": state.version,
-        "created (seconds since 1970)": state.created_at,
+        "created": datetime.fromtimestamp(state.created_at, UTC).isoformat(" ", "minutes"),
         "settings": dict(spec.settings),
         "policies": dict(state.equipment or {}),
     }
@@ -108,4 +113,39 @@ def of_study(study: Study) -> Subject:
         ),
         provenance=made,
         finished=study.is_finished,
+        headline=_headline(study, summary, {} if curves is None else curves.levels),
+        next_steps=_next_steps(study, summary),
     )
+
+
+def _headline(study: Study, summary: StudySummary, levels: Mapping[str, float]) -> tuple[str, ...]:
+    """V with its interval, the mean return that it is, and V of what needs no training."""
+    fresh = summary.fresh_value is not None
+    v = summary.fresh_value if fresh else summary.value
+    if v is None:
+        return ()
+    margin = summary.fresh_margin if fresh else summary.value_margin
+    bar = f" +- {margin:.3f}" if margin else ""
+    told = float(study.bounds.denormalise(np.array(v)))
+    said = [f"V = {v:.3f}{bar}", f"a mean return of {told:.4g} over the contexts"]
+    without = [f"{name} {value:.3f}" for name, value in levels.items()]
+    return (*said, *([f"without training: {', '.join(without)}"] if without else []))
+
+
+def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], ...]:
+    """For a study with a folder: go on, use the policies, look closer."""
+    folder = study.folder
+    if folder is None or not summary.told:
+        return ()
+    middle, portfolio = study.space.context(study.space.n // 2), str(folder / "portfolio")
+    steps = [
+        ("Serve a context", f"mbtl.load_portfolio({portfolio!r}).policy_for({middle!r})"),
+        ("See every pick, and what failed", f"mbtl study show {folder}"),
+    ]
+    if not study.is_finished:
+        steps.insert(0, ("Watch it", f"mbtl study show {folder} --live 10"))
+    elif "budget" in (summary.finished or "") and summary.steps is None:
+        steps.append(
+            ("Train more: the command that began it, with", f"--budget {summary.budget + 5:g}")
+        )
+    return tuple(steps)

@@ -421,15 +421,22 @@
     byId("which")?.addEventListener("change", (event) => show(+event.target.value));
     show(0);
 
-    const near = new IntersectionObserver((seen) => seen.forEach(({ isIntersecting, target }) => {
-      if (!isIntersecting || state.drawn.has(target)) return;
-      near.unobserve(target);
-      state.drawn.set(target, target.dataset.chart);
-      pictures[target.dataset.chart](+target.closest("article").dataset.item, target);
-    }), { rootMargin: "400px" });
+    const itemOf = (box) => +box.closest("article").dataset.item;
+    const once = (box) => {
+      if (state.drawn.has(box)) return;
+      near.unobserve(box);
+      state.drawn.set(box, box.dataset.chart);
+      pictures[box.dataset.chart](itemOf(box), box);
+    };
+    const fill = (box) => box.open && servingTable(itemOf(box), box.querySelector(".scroll"));
+    const near = new IntersectionObserver((seen) => seen.forEach((one) => one.isIntersecting && once(one.target)), { rootMargin: "400px" });
     document.querySelectorAll("[data-chart]").forEach((box) => near.observe(box));
-    document.querySelectorAll("details[data-table]").forEach((box) => box.addEventListener("toggle", () =>
-      box.open && servingTable(+box.closest("article").dataset.item, box.querySelector(".scroll"))));
+    document.querySelectorAll("details[data-table]").forEach((box) => box.addEventListener("toggle", () => fill(box)));
+    addEventListener("beforeprint", () => { // on paper nothing can be scrolled to, or opened
+      theme("light");
+      article(state.which).querySelectorAll("[data-chart]").forEach(once);
+      article(state.which).querySelectorAll("details[data-table]").forEach((box) => { box.open = true; fill(box); });
+    });
     document.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
       const input = article(state.which).querySelector('input[type="range"]');
