@@ -56,8 +56,14 @@ def beginning(state: Any) -> Training:
     """Before the first update."""
     weights = state.weights
     nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
-    best = jax.tree.map(jnp.copy, weights)
-    return Training(state, best, nothing, jnp.copy(nothing), jnp.int32(0))
+    best, latest = copied((weights, nothing))
+    return Training(state, best, nothing, latest, jnp.int32(0))
+
+
+@partial(jax.jit)
+def copied(tree: T) -> T:
+    """The same in memory of its own, as blocks of updates take over what they are given."""
+    return cast(T, jax.tree.map(jnp.copy, tree))
 
 
 @partial(jax.jit)
@@ -81,8 +87,7 @@ def check_finite(weights: Tree, step: int) -> None:
     Raises:
         TrainingFailed: one of the (P,) policies has weights that are not finite.
     """
-    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
-    finite = np.asarray(jnp.stack(each).all(axis=0))
+    finite = np.asarray(_finite(weights))
     if not finite.all():
         bad = np.flatnonzero(~finite)
         raise TrainingFailed(
@@ -90,6 +95,13 @@ def check_finite(weights: Tree, step: int) -> None:
             f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
             "check the contexts"
         )
+
+
+@partial(jax.jit)
+def _finite(weights: Tree) -> jax.Array:
+    """(P,) whether all weights of a policy are numbers."""
+    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
+    return jnp.stack(each).all(axis=0)
 
 
 def to_arrays(training: Training) -> dict[str, NDArray[Any]]:

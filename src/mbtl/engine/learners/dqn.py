@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import optax
 
 from mbtl.engine.learners import networks
+from mbtl.engine.learners.blocks import copied
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, descended
 from mbtl.engine.learners.networks import Network, Weights
@@ -66,7 +67,7 @@ def init(
         InvalidInput: actions are not discrete.
     """
     begun = start(adam, world, recipe, seeds, params, weights)
-    target = jax.tree.map(jnp.copy, begun.weights.actor)  # of its own: a block takes over both
+    target = copied(begun.weights.actor)
     replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
     return begun._replace(target=target, replay=replay)
 

@@ -15,11 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-
 from mbtl.engine.learners.algorithms import AnyRecipe
-from mbtl.engine.learners.blocks import Block, Training
+from mbtl.engine.learners.blocks import Block, Training, copied
 from mbtl.engine.learners.clock import Pace
 from mbtl.engine.learners.export import export_policies
 from mbtl.engine.learners.loop import start, train
@@ -87,8 +84,7 @@ class Growing(NamedTuple):
         """
         begin = int(trunk.updates)
         pace = self._endless.branch(begin, begin + max(branch, 1))
-        copy = jax.tree.map(jnp.copy, trunk)
-        weights: Weights = self._learn(copy, begin + branch, pace, on_block).state.weights
+        weights: Weights = self._learn(copied(trunk), begin + branch, pace, on_block).state.weights
         return weights
 
     @property

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.engine.learners.blocks import Training, from_arrays, to_arrays
+from mbtl.engine.learners.blocks import Training, copied, from_arrays, to_arrays
 from mbtl.errors import MbtlError
 from mbtl.files import read_arrays, whole_file
 
@@ -109,5 +108,5 @@ def _taken(state: Any) -> dict[str, Any]:
 def _begun_with(training: Training, given: dict[str, Any]) -> Training:
     if getattr(training.state, "target", ()):
         given["target"] = given["weights"].actor
-    state = jax.tree.map(jnp.copy, training.state._replace(**given))
-    return training._replace(state=state, best=jax.tree.map(jnp.copy, state.weights))
+    state = copied(training.state._replace(**given))
+    return training._replace(state=state, best=copied(state.weights))

@@ -53,7 +53,8 @@ def init(
 ) -> State:
     """P policies before their first update; fresh unless given weights."""
     weights = networks.begun(weights, partial(_fresh, world, recipe, seeds, params))
-    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
+    start = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))
+    memory = jax.jit(start)(weights)  # one program, not one for every array
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
 
 
@@ -121,6 +122,12 @@ def contexts_met(seed: jax.Array, number: jax.Array, contexts: int, count: int) 
 
 def episodes_met(seed: int, updates: int, contexts: int, count: int) -> NDArray[np.int64]:
     """(N,) episodes that a training has lived through in each of N contexts (`contexts_met`)."""
-    own = jnp.array([seed], jnp.uint32)
-    met = jax.vmap(lambda k: contexts_met(own, k, contexts, count))(jnp.arange(updates))
-    return np.bincount(np.asarray(met).ravel(), minlength=contexts)
+    return np.asarray(_met(np.array([seed], np.uint32), updates, contexts, count))
+
+
+@partial(jax.jit, static_argnums=(2, 3))
+def _met(seed: jax.Array, updates: jax.Array, contexts: int, count: int) -> jax.Array:
+    def further(number: jax.Array, met: jax.Array) -> jax.Array:
+        return met.at[contexts_met(seed, number, contexts, count)].add(1)
+
+    return jax.lax.fori_loop(0, updates, further, jnp.zeros(contexts, jnp.int32))
