@@ -6,10 +6,6 @@ import numpy as np
 import mbtl.engine.learners as engine
 from mbtl.zoo.cmdps import cartpole
 
-AS_SHIPPED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
-"""`compiler_options` of `jax.jit` for tests of equal bits: as for users; `make test` rounds
-otherwise. They go before XLA_FLAGS."""
-
 
 def params_of(env, lengths):
     """Parameters of a CartPole with the axes of `lengths`, (P,) or (P, N)."""

@@ -41,7 +41,7 @@ def setting(acting, done=None, **changes):
     return recipe, weights, lived
 
 
-learn = jax.jit(dqn.learn, static_argnums=(0, 1))
+learn, entered = jax.jit(dqn.learn, static_argnums=(0, 1)), jax.jit(dqn.entered)
 EVERYBODY = jnp.ones((D, 1, A), bool)
 ONE = EVERYBODY.at[:, :, 1].set(False)
 
@@ -62,7 +62,7 @@ def test_the_ring_keeps_decisions_that_are_known_to_their_end():
     done = jnp.zeros((D, 1, A), bool).at[2, 0, 0].set(True)  # and a new life begins
     acting = EVERYBODY.at[4:, 0, 0].set(False)  # the second life is cut off
     recipe, weights, lived = setting(acting, done)
-    replay, kept = dqn.entered(dqn.start(recipe, weights), lived)
+    replay, kept = entered(dqn.start(recipe, weights), lived)
     assert int(kept) == 3 + 5  # of the first agent 0 to 2, of the other all but the last
     rows = np.asarray(replay)[: int(kept)]
     batch = dqn.unpacked(rows)
@@ -78,7 +78,7 @@ def test_the_ring_keeps_decisions_that_are_known_to_their_end():
 def test_a_time_limit_that_is_an_end_is_known():
     recipe, weights, lived = setting(EVERYBODY)
     lived = lived._replace(last_acting=jnp.zeros((1, A), bool))
-    replay, kept = dqn.entered(dqn.start(recipe, weights), lived)
+    replay, kept = entered(dqn.start(recipe, weights), lived)
     assert int(kept) == D * A
     ends = dqn.unpacked(np.asarray(replay)[: int(kept)]).terminated
     np.testing.assert_array_equal(ends, [0.0] * (D * A - A) + [1.0] * A)
@@ -88,7 +88,7 @@ def test_the_oldest_make_room():
     recipe, weights, lived = setting(EVERYBODY)
     memory = dqn.start(recipe, weights)
     for _ in range(2):
-        replay, kept = dqn.entered(memory, lived)
+        replay, kept = entered(memory, lived)
         memory = memory._replace(replay=replay, kept=kept)
     assert int(memory.kept) == 20  # in 16 places: the ring begins with the last four
     np.testing.assert_array_equal(memory.replay[:4, :2], lived.obs[6:10])

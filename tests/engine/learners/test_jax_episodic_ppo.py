@@ -47,7 +47,7 @@ def setting(acting, **changes):
     return recipe, weights, lived
 
 
-learn = jax.jit(ppo.learn, static_argnums=(0, 1))
+learn, rows_of = (jax.jit(f, static_argnums=(0, 1)) for f in (ppo.learn, ppo.rows_of))
 
 
 def updated(recipe, weights, lived, number=0):
@@ -64,7 +64,7 @@ FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 def test_rows_are_decisions_of_agents_and_nothing_else(acting, rows, count):
     recipe, weights, lived = setting(acting, rows=rows)
     marked = lived._replace(obs=jnp.where(acting.reshape(-1, 1), lived.obs, 77.0))
-    batch, _ = ppo.rows_of(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
+    batch, _ = rows_of(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
     assert int(batch.weight.sum()) == count
     used = np.asarray(batch.obs)[np.asarray(batch.weight) == 1.0]
     assert (used != 77.0).all()
@@ -117,7 +117,7 @@ def test_a2c_is_one_step_along_the_policy_gradient():
     recipe, weights, lived = setting(EVERYBODY)
     recipe = replace(TWIN_RECIPES["A2C"]["fast"], rows=D * A, hidden=(8,), value_coef=0.0)
     key = jax.random.PRNGKey(0)
-    batch, _ = ppo.rows_of(BOX, recipe, weights, Returns.empty(), lived, key)
+    batch, _ = rows_of(BOX, recipe, weights, Returns.empty(), lived, key)
 
     def plain(actor):
         outputs = networks.apply(actor, batch.obs)
@@ -125,7 +125,7 @@ def test_a2c_is_one_step_along_the_policy_gradient():
             batch.advantage * networks.log_prob(outputs, weights.log_std, batch.action, BOX)
         ).mean()
 
-    (new, _), slope = updated(recipe, weights, lived), jax.grad(plain)(weights.actor)
+    (new, _), slope = updated(recipe, weights, lived), jax.jit(jax.grad(plain))(weights.actor)
     for before, after, g in zip(
         *map(jax.tree.leaves, (weights.actor, new.actor, slope)), strict=True
     ):

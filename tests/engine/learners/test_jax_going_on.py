@@ -42,10 +42,10 @@ RECIPES = {
     for name in names
     for recipe in [kinds[name.split()[0]][name.split()[1]]]
 }
-RECIPES["PPO standardised"] = replace(PPO, standardize=True)
 for method in ("paco", "moore"):
     RECIPES[method] = engine.MultiTaskRecipe.of(method, PPO, 2)
 RECIPES["ppo standardised"] = engine.MultiTaskRecipe.of("ppo", replace(PPO, standardize=True))
+NAMES = [pytest.param(n, marks=pytest.mark.long) if n == "paco" else n for n in RECIPES]
 
 
 def params_of(recipe, lengths):
@@ -95,7 +95,7 @@ def test_a_copy_learns_as_slowly_as_its_parent_did():
     np.testing.assert_allclose(rates, [0.25, 0.125, 0.0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
     """Extended it ends, bit for bit, where it would have ended without a pause, and whatever the
     other policies of the program are."""

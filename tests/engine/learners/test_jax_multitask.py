@@ -106,10 +106,9 @@ def test_the_composed_network_is_what_acts():
     places = jnp.array([0.0, 2.0, 3.5])
     seen = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7, 5)), jnp.float32)
     with_place = jnp.concatenate([seen, jnp.broadcast_to(places[:, None, None], (3, 7, 1))], -1)
-    ordinary = jax.vmap(networks.apply)(composed(weights, places).actor, seen)
-    np.testing.assert_allclose(
-        networks.apply(weights.actor, with_place), ordinary, rtol=1e-4, atol=1e-6
-    )
+    ordinary = jax.jit(jax.vmap(networks.apply))(composed(weights, places).actor, seen)
+    found = jax.jit(networks.apply)(weights.actor, with_place)
+    np.testing.assert_allclose(found, ordinary, rtol=1e-4, atol=1e-6)
 
 
 def test_a_context_moves_its_own_vector_and_all_parameter_sets():

@@ -7,12 +7,23 @@ import pytest
 from poles import apart, same_policy
 
 import mbtl.engine.learners as engine
+from mbtl.engine.learners import recipes
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 
-UNIT = 12_800
-TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for("quick", eval_episodes=2)
+SMALL = {"n_envs": 4, "n_steps": 64, "batch_size": 64}
+UNIT = 256
+TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for(
+    "quick", timesteps=2_560, hyperparameters=SMALL, eval_episodes=2
+)
 CONTEXTS = [{"length": length} for length in (0.2, 0.5, 1.0, 1.5)]
+
+
+@pytest.fixture(autouse=True)
+def recipe_of_sets(monkeypatch):
+    """CartPole's own one has a hundred copies."""
+    small = replace(recipes.MULTI_TASK["CartPole"], **SMALL)
+    monkeypatch.setattr(recipes, "MULTI_TASK", {"CartPole": small})
 
 
 def to(updates, saved=None, **more):

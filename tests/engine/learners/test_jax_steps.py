@@ -143,30 +143,32 @@ class _Silent:
         return engine.Solo(_Double()), self.problem(contexts)[1]
 
 
-HOLDS = [{"hold": hold} for hold in (20.0, 40.0)]
-"""20 and 10 decisions in an episode of 400 s."""
+BY_EPISODES = {
+    "cartpole": (CARTPOLE.problem, [POLE, {"length": 1.0}], [500, 500]),
+    "ring": (get_cmdp("ring-acc", engine="jax", visibility="multiplier").trainer.problem,
+             [{"hold": 20.0}, {"hold": 40.0}], [20, 10]),  # of 400 s
+}  # fmt: skip
+"""World, contexts, and decisions of an episode in each."""
 
 
-def test_a_training_of_episodes_is_extended_and_counts_decisions(tmp_path):
+@pytest.mark.parametrize("name", ["cartpole", pytest.param("ring", marks=pytest.mark.long)])
+def test_a_training_of_episodes_is_extended_and_counts_decisions(name, tmp_path):
+    problem, contexts, decisions = BY_EPISODES[name]
     small = {"rows": 16, "minibatches": 4, "n_episodes": 2, "hidden": (8,)}
-    trainer = get_cmdp("ring-acc", engine="jax", visibility="multiplier").trainer_for(
-        "quick", algorithm="PPO", recipe_name="fast", episodes=12, hyperparameters=small
+    trainer = WorldTrainer(
+        problem, episodes=12, algorithm="PPO", recipe_name="fast", hyperparameters=small
     )
     assert (trainer.whole, trainer.counts) == (12, "episodes")
     file, told = tmp_path / "training.npz", []
     first, second = (
-        trainer.train(HOLDS, 3, length=n / 12, state=file, on_progress=told.append) for n in (4, 12)
+        trainer.train(contexts, 3, length=n / 12, state=file, on_progress=told.append)
+        for n in (4, 12)
     )
     met = [engine.episodes_met(3, n // 2, 2, 2) for n in (4, 12)]
-    assert [first.steps, second.steps] == [one @ [20, 10] for one in met]
-    assert first.policy.weights[0].shape[1] == 3 + 1  # it is told the context
+    assert [first.steps, second.steps] == [one @ decisions for one in met]
+    world, _ = problem(contexts)
+    assert first.policy.weights[0].shape[1] == world.n_features + 1  # it is told the context
     assert (told[-1].unit, told[-1].step, told[-1].total) == ("steps", *[second.steps] * 2)
-    growing = trainer._growing([HOLDS], [3])
-    trunk = growing.along(growing.start(), 2)  # a branch of a fifth of two updates is none
-    assert same_policy(first.policy, exported(growing, growing.end(trunk, 0)))
-    warm = trainer.train(HOLDS[::-1], 1, length=2 / 12, start=second.policy).policy
-    cold = trainer.train(HOLDS[::-1], 1, length=2 / 12).policy
-    assert 0 < apart(warm, second.policy) < 0.3 < apart(cold, second.policy)
 
 
 def test_a_world_that_lives_in_one_process_hands_out_no_state():

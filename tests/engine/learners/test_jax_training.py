@@ -61,7 +61,8 @@ def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
         [0, 1],
         cartpole_params([0.5, 0.5]),
         120_000,
-        checkpoint_every=6_000,
+        checkpoint_every=20_000,
+        checkpoint_episodes=5,
         on_block=lambda b: bests.append(np.array(b.training.best_return)),
     )
     assert (np.diff(bests, axis=0) >= 0).all()

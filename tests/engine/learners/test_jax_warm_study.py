@@ -9,12 +9,15 @@ from flat import created, ran
 from mbtl.problems import get_cmdp
 from warm import Stops, Warm
 
-SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
+SMALL = {
+    "timesteps": 1_024, "hyperparameters": {"n_envs": 2, "n_steps": 64, "batch_size": 64},
+    "eval_episodes": 1, "checkpoint_episodes": 1,
+}  # fmt: skip
 PROBLEM = get_cmdp("pendulum-length", engine="jax", visibility="hidden")
 
 
 def opened(folder):
-    trainer = PROBLEM.trainer_for("quick", timesteps=1_024, hyperparameters=SMALL)
+    trainer = PROBLEM.trainer_for("quick", **SMALL)
     return created(
         PROBLEM, budget=8, trainer=trainer, strategy=Warm(), seed=4, load_if_exists=True,
         storage=folder / "study.db",

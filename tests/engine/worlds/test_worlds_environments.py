@@ -94,10 +94,10 @@ def test_what_comes_after_a_terminal_state_does_not_count():
     world = engine.Solo(CartPole())
     params = nominal(world)
     state = world.start(world.draws(np.arange(3, dtype=np.uint32)), params)
-    pushed = jnp.ones((3, 1), jnp.int32)
+    pushed, step = jnp.ones((3, 1), jnp.int32), jax.jit(world.step)
     rewards, deaths = np.zeros(3), np.zeros(3)
     for _ in range(30):
-        moved = world.step(state, pushed, params)
+        moved = step(state, pushed, params)
         state = moved.state
         rewards += moved.reward[:, 0]
         deaths += moved.done[:, 0]

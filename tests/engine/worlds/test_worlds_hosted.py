@@ -61,9 +61,10 @@ def test_single_steps_are_those_of_the_traced_world():
     params = jax.tree.map(jnp.float32, params_of([0.2, 1.0, 5.0]))
     drawn = TRACED.draws(np.arange(3, dtype=np.uint32))
     ours, theirs = NATIVE.start(drawn, params), TRACED.start(drawn, params)
+    native, traced = jax.jit(NATIVE.step), jax.jit(TRACED.step)
     for k in range(10):
         action = jnp.full((3, 1, 1), 3.0 * math.cos(k))
-        mine, peer = NATIVE.step(ours, action, params), TRACED.step(theirs, action, params)
+        mine, peer = native(ours, action, params), traced(theirs, action, params)
         np.testing.assert_allclose(mine.reward, peer.reward, rtol=1e-4, atol=1e-5)
         ours, theirs = mine.state, peer.state
         seen = [world.observe(s, params).obs for world, s in ((NATIVE, ours), (TRACED, theirs))]
