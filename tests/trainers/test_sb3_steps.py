@@ -26,39 +26,41 @@ def trainer(make_env=cartpole, algorithm="PPO", timesteps=384, **changes):
     )  # fmt: skip
 
 
+def by_episodes(algorithm, **changes):
+    falls = {**(PPO if algorithm == "PPO" else DQN), "learning_rate": lambda left: 1e-3 * left}
+    one = trainer(algorithm=algorithm, **changes)
+    return replace(one, timesteps=None, episodes=25, hyperparameters=falls)
+
+
 @pytest.mark.parametrize(
-    ("one", "context"),
+    ("one", "contexts"),
     [
-        (trainer(n_envs=2, normalize_reward=True), POLE),
-        (trainer(algorithm="DQN"), POLE),
-        (trainer(pendulum, "SAC", 80), MASS),
+        (trainer(n_envs=2, normalize_reward=True), [POLE]),
+        (trainer(algorithm="DQN"), [{"length": x} for x in (0.3, 0.5, 1.0)]),
+        (trainer(pendulum, "SAC", 80), [MASS]),
+        (by_episodes("PPO", n_envs=2), [POLE]),
+        (by_episodes("DQN", normalize_reward=True), [POLE]),
     ],
-    ids=["PPO", "DQN", "SAC"],
+    ids=["PPO", "DQN", "SAC", "PPO by episodes", "DQN by episodes"],
 )
-def test_a_training_extended_twice_is_the_whole_one(one, context, tmp_path):
+def test_a_training_extended_twice_is_the_whole_one(one, contexts, tmp_path):
+    """Also on several contexts, and where a rate falls with the episodes."""
     assert isinstance(one, CountingTrainer)
     assert one.takes == {"sets", "start", "length", "state"}
-    whole = one.train([context], seed=3).policy
-    file = tmp_path / "training"
-    total = one.whole
+    whole = one.train(contexts, seed=3).policy
+    file, told, total = tmp_path / "training", [], one.whole
     reached = [
-        one.train([context], 3, length=steps / total, state=file)
-        for steps in (total // 3, total // 2, total)
+        one.train(contexts, 3, length=n / total, state=file, on_progress=told.append)
+        for n in (total // 3, total // 2, total)
     ]
-    assert [r.steps for r in reached] == sorted(r.steps for r in reached)
-    assert reached[-1].steps == whole.num_timesteps
+    steps = [r.steps for r in reached]
+    assert steps == sorted(set(steps))
+    begun = one.n_envs if one.counts == "episodes" else 0  # of an episode that is too many
+    assert steps[-1] in (whole.num_timesteps, whole.num_timesteps - begun)
     assert same(reached[-1].policy, whole)
     assert not same(reached[0].policy, whole)
-
-
-def test_a_training_on_several_contexts_extended_is_the_whole_one(tmp_path):
-    one, contexts = trainer(algorithm="DQN"), [{"length": x} for x in (0.3, 0.5, 1.0)]
-    whole, file = one.train(contexts, seed=3).policy, tmp_path / "training"
-    reached = [one.train(contexts, 3, length=length, state=file) for length in (0.5, 1.0)]
-    assert [r.steps for r in reached] == [192, 384]
-    assert same(reached[-1].policy, whole)
-    assert not same(reached[0].policy, whole)
-    assert len(one.evaluate(reached[-1].policy, contexts, range(len(contexts)))) == 3
+    assert {p.unit for p in told} == {"steps"}
+    assert told[-1].step == steps[-1]
 
 
 class NotCopied(Guess, gymnasium.utils.EzPickle):
@@ -146,30 +148,3 @@ def test_episodes_of_evaluations_are_counted():
     returns, steps = one.evaluate_steps(policy, [POLE, {"length": 1.0}], [5, 6])
     assert np.array_equal(returns, one.evaluate(policy, [POLE, {"length": 1.0}], [5, 6]))
     assert np.array_equal(returns, steps)  # a point per step
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "changes"),
-    [("PPO", {"n_envs": 2}), ("DQN", {"normalize_reward": True})],
-    ids=["PPO", "DQN"],
-)
-def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, changes, tmp_path):
-    """Also where a rate falls: it follows the episodes."""
-    falls = {**(PPO if algorithm == "PPO" else DQN), "learning_rate": lambda left: 1e-3 * left}
-    one = replace(
-        trainer(algorithm=algorithm, **changes), timesteps=None, episodes=25, hyperparameters=falls
-    )
-    assert (one.whole, one.counts) == (25, "episodes")
-    whole = one.train([POLE], seed=3).policy
-    file, told = tmp_path / "training", []
-    reached = [
-        one.train([POLE], 3, length=episodes / one.whole, state=file, on_progress=told.append)
-        for episodes in (4, 11, 25)
-    ]
-    steps = [r.steps for r in reached]
-    assert steps == sorted(set(steps))
-    assert steps[-1] in (whole.num_timesteps, whole.num_timesteps - one.n_envs)  # one is begun
-    assert same(reached[-1].policy, whole)
-    assert not same(reached[0].policy, whole)
-    assert {p.unit for p in told} == {"steps"}
-    assert told[-1].step == steps[-1]

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import poles
 import pytest
@@ -115,9 +116,12 @@ def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
     assert not poles.same(*(jax.tree.map(lambda x: x[1], t.state) for t in (whole, company)))
 
     before = jax.tree.map(np.array, whole.state.weights)
-    given = before._replace(critic=()) if isinstance(before, networks.Weights) else before
+    given = jax.tree.map(jnp.asarray, before)
+    if isinstance(given, networks.Weights):
+        given = given._replace(critic=())
     still = Pace.endless(3).branch(-1, 0)  # whose gradient steps have length 0
     tuned = train(recipe, [7, 8], other, unit, weights=given, pace=still).state.weights
+    assert_same(given.actor, before.actor)  # they stay their owner's
     another_stage = whole._replace(updates=whole.updates * 0)
     extended = train(recipe, [3, 5], own, unit, resume=another_stage, pace=still).state.weights
     close = partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6)

@@ -73,18 +73,6 @@ def test_only_the_networks_come_from_the_given_weights(recipe, lengths):
         assert_same(begun.state.target, given.actor)
 
 
-def test_a_training_goes_on_from_the_given_weights_and_leaves_them_to_their_owner():
-    params = params_of([[0.5, 1.0, 1.5, 2.0], [0.1] * 4])
-    given = engine.start(CARTPOLE, ON_SETS, [8, 9], params).state.weights
-    copy = jax.tree.map(np.array, given)
-    begun = engine.start(CARTPOLE, ON_SETS, [0, 1], params, given)
-    train = partial(engine.train, CARTPOLE, ON_SETS, [0, 1], params, 192, checkpoint_episodes=4)
-    training = train(weights=given)
-    assert_same(given, copy)
-    assert_same(training, train(resume=begun))
-    assert not np.array_equal(training.best.actor[0][0], train().best.actor[0][0])
-
-
 def test_weights_of_another_shape_are_refused():
     wide = replace(TINY, hidden=(128, 128))
     given = engine.start(CARTPOLE, wide, [0], params_of([0.5])).state.weights

@@ -80,34 +80,34 @@ def test_a_training_goes_on_from_its_file_after_a_kill(when, tmp_path, monkeypat
 
 def test_who_was_killed_after_the_last_saving_gets_the_same_policy_again(tmp_path):
     file = tmp_path / "training.npz"
-    first = PENDULUM.train([POLE], 2, length=0.5, state=file)
-    again = PENDULUM.train([POLE], 2, length=0.5, state=file)
+    first = CARTPOLE.train([POLE], 2, length=0.5, state=file)
+    again = CARTPOLE.train([POLE], 2, length=0.5, state=file)
     assert (again.steps, same_policy(again.policy, first.policy)) == (first.steps, True)
 
 
 def test_a_training_begins_from_another_policy():
-    policy = PENDULUM.train([POLE], 0, length=1_000 / PENDULUM.whole).policy
-    warm = PENDULUM.train([{"length": 1.0}], 1, length=128 / PENDULUM.whole, start=policy).policy
-    cold = PENDULUM.train([{"length": 1.0}], 1, length=128 / PENDULUM.whole).policy
+    policy = CARTPOLE.train([POLE], 0, length=1_000 / CARTPOLE.whole).policy
+    warm = CARTPOLE.train([{"length": 1.0}], 1, length=128 / CARTPOLE.whole, start=policy).policy
+    cold = CARTPOLE.train([{"length": 1.0}], 1, length=128 / CARTPOLE.whole).policy
     assert 0 < apart(warm, policy) < 0.1 < apart(cold, policy)
 
 
 def test_without_its_state_a_training_goes_on_from_its_latest_policy():
     told = []
-    half = PENDULUM.train([POLE], 3, length=0.5)
-    rest = PENDULUM.train(
+    half = CARTPOLE.train([POLE], 3, length=0.5)
+    rest = CARTPOLE.train(
         [POLE], 3, start=half.policy, done=0.5, length=1.0, on_progress=told.append
     )
     assert told[0].step > half.steps
-    assert rest.steps == PENDULUM.whole
-    assert 0 < apart(rest.policy, half.policy) < apart(rest.policy, PENDULUM.untrained(POLE))
-    same_again = PENDULUM.train([POLE], 3, start=half.policy, done=0.5, length=0.5)
+    assert rest.steps == CARTPOLE.whole
+    assert 0 < apart(rest.policy, half.policy) < apart(rest.policy, CARTPOLE.untrained(POLE))
+    same_again = CARTPOLE.train([POLE], 3, start=half.policy, done=0.5, length=0.5)
     assert apart(same_again.policy, half.policy) == 0.0
 
 
 @pytest.mark.parametrize("trainer", [CARTPOLE, PENDULUM], ids=["cartpole", "pendulum"])
 def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
-    policy = trainer.train([POLE], 0, length=500 / trainer.whole).policy
+    policy = trainer.untrained(POLE)
     contexts = [{"length": 0.3}, {"length": 0.9}]
     seeds = evaluation_seeds(0, 0, range(2))
     returns, steps = trainer.evaluate_steps(policy, contexts, seeds)

@@ -46,7 +46,8 @@ def same_state(twin, params, env):
     return state._replace(look=twin._look(state)), {v: k for k, v in number.items()}
 
 
-@pytest.mark.parametrize("actions", ["acceleration", pytest.param("speed", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("actions", ACTIONS)
 def test_without_noise_every_decision_ends_as_in_sumo(actions):
     """New cars want other speeds in the twin; they change nothing before them for a while."""
     env = ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden")

@@ -82,13 +82,13 @@ def test_a_collision_ends_only_its_own_ring_and_stays_with_the_decision_in_which
     params = jax.tree.map(lambda *x: jnp.stack(x), *each)
     beats = twin.decisions(params)
     state = START(twin, jnp.zeros(2, jnp.uint32), params)
-    held, done, reward = twin.held(state), [], []
+    held, done, reward, beat = twin.held(state), [], [], jax.jit(twin.beat, static_argnums=4)
     for now in range(4):
         if now == 2:  # with the second decision of the second ring
             state = state._replace(
                 gap=state.gap.at[1, 1].set(0.2).at[2, 1].add(state.gap[1, 1] - 0.2)
             )
-        moved, held = twin.beat(state, held, jnp.zeros((2, 1)), params, beats, jnp.int32(now))
+        moved, held = beat(state, held, jnp.zeros((2, 1)), params, beats, jnp.int32(now))
         state = moved.state
         done.append(moved.done[:, 0].tolist())
         reward.append(float(moved.reward[1, 0]))
