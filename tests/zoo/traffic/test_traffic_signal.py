@@ -150,7 +150,9 @@ def test_lights_of_sumos_own_stand_beside_policies(make):
         env.follow("actuatd")
 
 
-@pytest.mark.parametrize("context", [{"length": 50}, {"inflow": 2500}], ids=str)
+@pytest.mark.parametrize(
+    "context", [{"length": 50}, pytest.param({"inflow": 2500}, marks=pytest.mark.long)], ids=str
+)
 def test_corners_run_to_the_end_without_collisions(make, context):
     _, _, info = episode(make(context), FIXED_TIME)
     assert np.isfinite(info["score"])

@@ -37,7 +37,7 @@ DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
 
 DEVICE_CROWDS = 1 << 17
-"""Simulations of a world that is not `apart` that an accelerator plays together."""
+"""Simulations of a world other than `Solo` that an accelerator plays together."""
 
 
 def on_cpu() -> bool:
@@ -110,24 +110,25 @@ def evaluate(
         return np.concatenate([each(some) for some in parts], axis=-1)
     params, shares = of_each_kind(world, params)
     own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
-    if not (world.apart or most or on_cpu()):
+    solo = isinstance(world, Solo)  # else all simulations of a batch may decide something together
+    if not (solo or most or on_cpu()):
         found = _pairs(world, activation, how, actor, own, params)
         return merged(found.reshape(n_policies, n_contexts, n_episodes), shares)
-    fitting = CPU_ROWS if world.apart else n_policies * n_episodes
+    fitting = CPU_ROWS if solo else n_policies * n_episodes
     rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
-    width = min(n_episodes * (n_contexts if world.apart else 1), rows)  # of a policy
+    width = min(n_episodes * (n_contexts if solo else 1), rows)  # of a policy
     height = max(1, min(n_policies, rows // width))
-    drawn, actor = world.draws(own) if world.apart else own, actor._replace(critic=())
+    drawn, actor = world.draws(own) if solo else own, actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, n_episodes))
     for p in range(0, n_policies, height):
         some, place = _take(actor, p, height, n_policies), returns[p : p + height]
         count = len(place)
-        if world.apart:
+        if isinstance(world, Solo):
 
             def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
                 return go_on(world, activation, how, some, own, where, state, *when)
 
-            found = ends.scores(cast(Solo, world), params, own, drawn, height, width, play)
+            found = ends.scores(world, params, own, drawn, height, width, play)
             place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart

@@ -70,8 +70,6 @@ class World(Described, Protocol):
 
     Attributes:
         agents: A.
-        apart: whether its functions may be vectorised once more, over contexts and policies: there
-            is nothing that all simulations of a batch decide together.
         drives: whether it goes on without any advice, see `drive`.
 
     A world may know rules by which its agents may act, what a training can begin with (`begin` of a
@@ -81,8 +79,6 @@ class World(Described, Protocol):
 
     @property
     def agents(self) -> int: ...  # noqa: D102
-    @property
-    def apart(self) -> bool: ...  # noqa: D102
     @property
     def drives(self) -> bool: ...  # noqa: D102
 
@@ -150,7 +146,6 @@ class Seeded:
 
     action: Discrete | Box
     agents: int
-    apart: bool = False
     drives: bool = True
     max_return: float | None = None
 
@@ -202,7 +197,6 @@ class Solo:
     env: Environment
     counts: bool = False
     agents: int = 1
-    apart: bool = True
 
     def __repr__(self) -> str:
         return repr(self.env)
