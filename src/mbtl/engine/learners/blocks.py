@@ -133,5 +133,5 @@ def from_arrays(template: T, arrays: Mapping[str, NDArray[Any]], within: str = "
                 f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
                 f"where {old.dtype}{old.shape} belongs; start anew"
             )
-        found.append(jnp.asarray(new))
-    return cast(T, jax.tree.unflatten(structure, found))
+        found.append(new)
+    return cast(T, jax.device_put(jax.tree.unflatten(structure, found)))

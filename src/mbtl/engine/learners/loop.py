@@ -8,12 +8,18 @@ from functools import partial
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.algorithms import AnyRecipe
-from mbtl.engine.learners.blocks import Block, Training, beginning, check_finite, keep_better
+from mbtl.engine.learners.blocks import (
+    Block,
+    Training,
+    beginning,
+    check_finite,
+    copied,
+    keep_better,
+)
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
 from mbtl.engine.learners.evaluation import own_measures
@@ -47,7 +53,7 @@ def start(
             f"training takes one seed per context (repeat contexts for more seeds), "
             f"got {len(seeds)} seeds and {n_contexts} contexts"
         )
-    init = partial(algorithms.init, world, recipe, seeds, jax.tree.map(jnp.asarray, params))
+    init = partial(algorithms.init, world, recipe, seeds, jax.device_put(params))
     state = init()
     if weights is not None:
         state = init(_fitting(weights, state.weights))
@@ -126,7 +132,7 @@ def train(
     if pace is None:
         pace = (Pace.falling if recipe.anneal else Pace.endless)(total)
     decisions = world.decisions(in_a_row(params))
-    params = jax.tree.map(jnp.asarray, params)
+    params = jax.device_put(params)
     best = world.max_return if only_best else None
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
@@ -205,4 +211,4 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"weights to begin from must have the shapes of this recipe and number of policies, "
             f"{needed}, got {given}"
         )
-    return cast(Weights, jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights))
+    return cast(Weights, copied(weights))

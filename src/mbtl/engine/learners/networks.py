@@ -137,7 +137,7 @@ def init_q_network(seed: int, widths: Sequence[int]) -> Weights:
 
 def stack(each: Sequence[Tree]) -> Any:
     """Weights of several policies as one tree of jax arrays, leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *each)
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *each))
 
 
 def _init_network(rng: np.random.Generator, widths: Sequence[int], last_gain: float) -> Network:

@@ -48,10 +48,11 @@ def import_actor(policies: list[MLPPolicy]) -> Actor:
     """The acting part of policies of one shape."""
     layers = zip(*[zip(p.weights, p.biases, strict=True) for p in policies], strict=True)
     network = tuple(
-        (jnp.stack([w.T for w, _ in each]), jnp.stack([b for _, b in each])) for each in layers
+        (np.stack([w.T for w, _ in each]), np.stack([b for _, b in each])) for each in layers
     )
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
-    return Actor(network, jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+    log_std = np.asarray(np.stack(stds), np.float32)  # type: ignore[arg-type]
+    return cast(Actor, jax.device_put(Actor(network, log_std)))
 
 
 class Rows(NamedTuple):
