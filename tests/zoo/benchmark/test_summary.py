@@ -52,7 +52,7 @@ def test_censored_seeds_show_none_and_enter_as_one_more_than_the_budget():
     assert s.k99.estimate.value is None
 
 
-def test_pooling_counts_each_matrix_once():
+def test_pooling_counts_each_matrix_once_and_needs_intervals_of_all():
     curves = {"a": {"s": np.array([[0.2], [0.4]])}, "b": {"s": np.array([[0.9]])}}
     references = {"a": [ref([0.1], [0.5])] * 2, "b": [ref([0.8], [1.0])]}
     summary = summarise(curves, references)
@@ -62,21 +62,15 @@ def test_pooling_counts_each_matrix_once():
     assert s.k90.per_seed == (None, None, 1)
     assert s.k90.estimate.value == pytest.approx(np.sqrt(2 * 1))
     assert summary.matrices["a"].n_seeds == 2
+    assert summary.matrices["a"].selectors["s"].V_K.low == pytest.approx(0.2)
+    assert summary.matrices["b"].selectors["s"].V_K.low is None  # one seed has no interval
+    assert s.V_K.low is None
 
 
 def test_pooled_trainings_are_a_geometric_mean_over_matrices():
     curves = {"a": {"s": np.array([[1.0, 1.0, 1.0, 1.0]])}, "b": {"s": np.array([[0, 0, 0, 1.0]])}}
     references = {name: [ref([0] * 4, [1] * 4)] for name in curves}
     assert summarise(curves, references).pooled["s"].k90.estimate.value == pytest.approx(2.0)
-
-
-def test_one_seed_has_no_interval_and_a_pool_with_it_has_none():
-    curves = {"a": {"s": np.array([[0.2], [0.4]])}, "b": {"s": np.array([[0.9]])}}
-    references = {"a": [ref([0.1], [0.5])] * 2, "b": [ref([0.8], [1.0])]}
-    summary = summarise(curves, references)
-    assert summary.matrices["a"].selectors["s"].V_K.low == pytest.approx(0.2)
-    assert summary.matrices["b"].selectors["s"].V_K.low is None
-    assert summary.pooled["s"].V_K.low is None
 
 
 def test_interval_of_many_seeds_is_that_of_a_mean():
