@@ -119,7 +119,8 @@ def main() -> None:
     parser.add_argument("--write", help="file for the layers")
     args = parser.parse_args()
     box = Box((0.0,), (1.0,))
-    fresh = networks.init_weights(0, eco.SIZE, box, HIDDEN, first_action=0.8).actor
+    *layers, (matrix, bias) = networks.init_weights(0, eco.SIZE, box, HIDDEN).actor
+    fresh = (*layers, (matrix, bias + np.float32(0.8)))  # begins as a car that drives on
     actor = fitted(jax.tree.map(jnp.asarray, fresh), args.steps)
     obs = made_up(jax.random.key(1), 20_000)
     advice, acts = wanted(obs)

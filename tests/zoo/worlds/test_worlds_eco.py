@@ -212,12 +212,6 @@ def test_each_reward_is_given_to_agents_only(cmdp):
         assert not done.any()
 
 
-def test_a_new_policy_begins_with_the_first_action_of_its_recipe(cmdp):
-    trainer = cmdp.trainer_for("paper", hyperparameters={"first_action": 3.0})
-    action, _ = trainer.untrained(CONTEXT).predict(np.zeros((1, 40), np.float32))
-    assert float(action.reshape(())) == pytest.approx(3.0)
-
-
 def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp):
     assert "reward" not in cmdp.trainer_for("paper").recipe
     assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"

@@ -56,7 +56,6 @@ def init_weights(
     hidden: Sequence[int],
     log_std: float = 0.0,
     critic_gain: float = 1.0,
-    first_action: float = 0.0,
 ) -> Weights:
     """Orthogonal weights with the gains of Stable-Baselines3.
 
@@ -64,15 +63,11 @@ def init_weights(
     critic. Made by numpy in float32: the same on every device, and jax 0.10 can hang in a batch of
     QR factorisations on a CPU (waiting for a task that never starts; 100 policies of 64-64 on two
     cores).
-
-    `first_action` is the bias of the actor's last layer, all but the mean action of a new policy.
     """
     rng = np.random.default_rng(seed)
     d = len(action.low) if isinstance(action, Box) else 0
-    actor = _init_network(rng, [n_inputs, *hidden, n_outputs(action)], last_gain=0.01)
-    matrix, bias = actor[-1]
     return Weights(
-        (*actor[:-1], (matrix, bias + np.float32(first_action))),
+        _init_network(rng, [n_inputs, *hidden, n_outputs(action)], last_gain=0.01),
         _init_network(rng, [n_inputs, *hidden, 1], last_gain=critic_gain),
         cast(jax.Array, np.full(d, log_std, dtype=np.float32)),
     )
@@ -88,8 +83,8 @@ def fresh(world: World, recipe: Learner, seeds: Sequence[int], params: Tree) -> 
     if not isinstance(recipe, ActorCritic):
         widths = [n_inputs, *recipe.hidden, options(world)]
         return [init_q_network(seed, widths) for seed in seeds]
-    more = (getattr(recipe, "critic_gain", 1.0), getattr(recipe, "first_action", 0.0))
-    own = (n_inputs, world.action, recipe.hidden, recipe.log_std, *more)
+    gain = getattr(recipe, "critic_gain", 1.0)
+    own = (n_inputs, world.action, recipe.hidden, recipe.log_std, gain)
     return [init_weights(seed, *own) for seed in seeds]
 
 

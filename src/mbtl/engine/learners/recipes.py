@@ -357,14 +357,11 @@ class EpisodicActorCritic(TwinRecipe, ActorCritic):
 
     Attributes:
         critic_gain: of the critic's last layer at the start.
-        first_action: mean of a Gaussian policy before the first update, in every dimension.
-        begin: what a new policy does: a name that the world knows (`rule`); empty: its first
-            action.
+        begin: what a new policy does: a name that the world knows (`rule`); empty: all but zero.
         credit: whose rewards an action is worth (`returns.of_team`).
     """
 
     critic_gain: float = 0.01
-    first_action: float = 0.0
     begin: str = ""
     credit: Credit = "own"
 
