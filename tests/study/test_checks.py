@@ -78,7 +78,8 @@ def any_training(tmp_path):
     state = Artifact("policies/all.state", "0" * 64)
     made.tell(made.ask(), np.ones((2, 3)), policy="policies/all", steps=1_000,
               training_state=state, evaluation_steps=300)  # fmt: skip
-    longer = made.begin_again(made.ask(), "diverged", steps=1_200)
+    made.fail(made.ask(), "diverged", steps=1_200, again=True)
+    longer = made.ask()
     made.defer(longer, "no display")
     made.tell(longer, np.full((6, 3), 2.0), steps=2_500)
     made.tell(made.ask(), np.full((2, 3), 3.0))
@@ -297,8 +298,9 @@ def test_a_training_that_cannot_be_is_refused(any_training):
         ("told", 3, {"evaluation_steps": "few"}, "`evaluation_steps` must be a finite"),
         ("late", 0, {"episodes": None}, "`episodes` must be a whole number"),
         ("late", 0, {"targets": 3}, "`targets` must be"),
-        ("retried", 0, {"steps": True}, "`steps` must be a finite number >= 0"),
-        ("failed", 0, {"pick": 0}, "`pick` must be the number of an open pick"),
+        ("failed", 0, {"steps": True}, "`steps` must be a finite number >= 0"),
+        ("failed", 0, {"again": 1}, "`again` must be true or false"),
+        ("failed", 1, {"pick": 0}, "`pick` must be the number of an open pick"),
     ):
         log = copy.deepcopy(whole)
         [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)

@@ -276,9 +276,8 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 1)]
     assert all(len(found) == 1 for found in seeds.values())
     assert not study.state.failures
-    assert [e.data["reason"] for e in study.log.read() if e.kind == "retried"] == [
-        "FloatingPointError: diverged"
-    ]
+    (failed,) = (event.data for event in study.log.read() if event.kind == "failed")
+    assert (failed["reason"], failed["again"]) == ("FloatingPointError: diverged", True)
     (told,) = (one for one in study.trainings if one.source == WRONG)
     assert told.seed == training_seed(5, 0, WRONG, 1)
 
@@ -286,11 +285,10 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
 def test_tries_survive_the_process(tmp_path):
     study = study_of(storage=tmp_path / "study.db")
     pick = study.ask()
-    again = study.begin_again(pick, "diverged")
-    study.release(again)
-    other = mbtl.load_study(tmp_path)
+    assert study.fail(pick, "diverged", again=True)
+    again = mbtl.load_study(tmp_path).ask()
     assert (again.number, again.source) == (pick.number, pick.source)
-    assert other.ask().seed == again.seed != pick.seed
+    assert again.seed == training_seed(0, 0, pick.source, 1) != pick.seed
 
 
 def test_tries_sets_and_lineages_never_share_a_seed():

@@ -7,13 +7,13 @@ and its policy is kept, in its folder or in memory, to be evaluated again.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
@@ -49,14 +49,21 @@ _LATE = 30.0
 code that does not return, or its process took long to begin."""
 
 
+_DEAD, _CANCELLED = "its worker process died", "it was cancelled"
+"""Reasons of trainings of which nothing came back."""
+
+
 @dataclass
 class Batches:
     """Does the picks of one run.
 
+    A training that failed is handed out once more as often as the run says, each time with another
+    seed; one whose worker dies once, as it was, since that may be nobody's fault.
+
     Attributes:
         study: is told.
         trainer: does the work.
-        executor: where; None: in this process.
+        executor: where; None: in this thread, each as it is begun.
         failures_allowed: failures in a row that are borne; one more ends the run.
         rehearse: the first policy is read back and evaluated on two targets before all else.
         callbacks: told what happens.
@@ -77,6 +84,8 @@ class Batches:
     timeout: float | None = None
     retries: int = 0
     held: list[Pick] = field(default_factory=list)
+    _under_way: dict[Future[Any], tuple[Pick, float]] = field(default_factory=dict)
+    _died: set[int] = field(default_factory=set)
     _in_a_row: int = 0
     _given_up: set[int] = field(default_factory=set)
     _ending: bool = False
@@ -102,37 +111,33 @@ class Batches:
         self._ending = False
         try:
             for pick, outcome in outcomes:
-                if outcome is None:
-                    waiting.pop(pick.number, None)
-                    self._lose(pick)
+                trouble = outcome if isinstance(outcome, Trouble) else None
+                if trouble is not None and isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
+                    self._keep(pick, trouble.kept)
+                    end, self._ending = end or trouble.error, True
                     continue
-                if isinstance(outcome, Outcome):
-                    in_time = self._tell(pick, outcome)
-                    waiting.pop(pick.number, None)
-                    if in_time:
-                        self._announce_told(pick)
-                    continue
-                self._keep(pick, outcome.kept)
-                if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
-                    end, self._ending = end or outcome.error, True
-                    continue
-                in_time = self._record(pick, outcome)
+                again = trouble is not None and self._may_try_again(pick, trouble)
+                in_time = outcome is not None and self._record(pick, outcome, again=again)
                 waiting.pop(pick.number, None)
                 if not in_time:
-                    continue
-                if outcome.pruned and outcome.kept is None:
-                    self._announce("on_pruned", pick, outcome.reason)
-                    continue
-                self._announce("on_failed", pick, _reason(outcome))
-                self._failed = pick, outcome
-                if self._in_a_row > self.failures_allowed:
-                    failures = "failure" if self._in_a_row == 1 else "failures"
-                    row = f"{self._in_a_row} {failures} in a row"
-                    end, self._ending = end or self._end(pick, outcome, row), True
+                    self._lose(pick)
+                elif trouble is None:
+                    self._announce_told(pick)
+                elif trouble.pruned and trouble.kept is None:
+                    self._announce("on_pruned", pick, trouble.reason)
+                elif not again:
+                    self._announce("on_failed", pick, _reason(trouble))
+                    self._failed = pick, trouble
+                    if self._in_a_row > self.failures_allowed:
+                        failures = "failure" if self._in_a_row == 1 else "failures"
+                        row = f"{self._in_a_row} {failures} in a row"
+                        end, self._ending = end or self._end(pick, trouble, row), True
         except _CallbackError as wrapped:
             raise wrapped.error from None
         finally:
-            outcomes.close()
+            for future in self._under_way:  # those that have not begun will not
+                future.cancel()
+            self._under_way.clear()
             self._give_back([*waiting.values()])
         if end is None and self._failed is not None and self._in_doubt:
             end = self._end(*self._failed, "nothing has succeeded yet")
@@ -145,7 +150,7 @@ class Batches:
         self._give_back(picks)
         return bool(picks)
 
-    # ---- inside ------------------------------------------------------------------------------
+    # ---- trainings under way -----------------------------------------------------------------
 
     def _outcomes(
         self,
@@ -154,36 +159,33 @@ class Batches:
         waiting: dict[int, Pick],
         *,
         together: bool,
-    ) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
-        """What each pick gave, see `do`; None where its training was stopped.
+    ) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
+        """What each pick gave, see `do`; None where it is somebody else's by now.
 
         While nothing has succeeded and something failed, nothing new is begun.
         """
-        flights = Flights(self)
-        try:
-            while True:
-                while len(flights) < size and not self._ending and not self._in_doubt:
-                    pick = ask()
-                    if pick is None:
-                        break
-                    waiting[pick.number] = pick
-                    self._announce_pick(pick)
-                    flights.begin(pick, self._job(pick))
-                    if together and self._is_whole(size):
-                        break
-                if not flights:
-                    return
-                yield from self._batch(flights) if together else flights.landed()
-        finally:
-            flights.cancel()
+        while True:
+            while len(self._under_way) < size and not self._ending and not self._in_doubt:
+                pick = ask()
+                if pick is None:
+                    break
+                waiting[pick.number] = pick
+                self._announce_pick(pick)
+                future = self._begun(pick, self._job(pick))
+                self._under_way[future] = pick, time.monotonic()
+                if together and self._is_whole(size):
+                    break
+            if not self._under_way:
+                return
+            yield from self._batch() if together else self._landed()
 
-    def _batch(self, flights: Flights) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
+    def _batch(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """What all that are under way gave, in pick order; also where the executor breaks then."""
         landed: list[tuple[Pick, Outcome | Trouble | None]] = []
         broken: StudyError | None = None
         try:
-            while flights:
-                landed += flights.landed()
+            while self._under_way:
+                landed += self._landed()
         except StudyError as error:
             broken = error
         yield from sorted(landed, key=lambda one: one[0].number)
@@ -207,7 +209,67 @@ class Batches:
         alone = any(len(state.picks[one.pick].sources) == 1 for one in failures)
         return alone or bool(state.deferred)
 
-    def perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
+    def _begun(self, pick: Pick, job: Job) -> Future[Any]:
+        """One that is handed over, or done in this thread."""
+        if self.executor is None:
+            future: Future[Any] = Future()
+            future.set_result(self._perform_here(pick, job))
+            return future
+        try:
+            return self.executor.submit(perform_elsewhere, job)
+        except BrokenExecutor as error:
+            raise StudyError(_DIED) from error
+
+    def _landed(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
+        """Wait for one or more, and say what they gave; None: it is somebody else's by now.
+
+        Raises:
+            StudyError: the executor is broken, or what a training gave cannot travel.
+        """
+        patience = None
+        if self.timeout is not None:
+            first = min(began for _, began in self._under_way.values())
+            patience = max(0.0, first + self.timeout + _LATE - time.monotonic()) + 0.01
+        done, _ = wait_for(self._under_way, patience, return_when=FIRST_COMPLETED)
+        for future in [one for one in self._under_way if one in done]:  # in the order they began
+            pick, _ = self._under_way.pop(future)
+            yield pick, self._brought(future)
+        for future, (pick, began) in list(self._under_way.items()):
+            if self.timeout is not None and time.monotonic() - began - _LATE > self.timeout:
+                del self._under_way[future]
+                if isinstance(self.executor, SeparateWorkers):
+                    self.executor.kill(future)
+                future.cancel()
+                error = too_long(self.timeout)
+                yield pick, Trouble("training", str(error), "", error)
+
+    def _brought(self, future: Future[Any]) -> Outcome | Trouble | None:
+        """What it gave, also where its worker died or its user cancelled it."""
+        try:
+            outcome: Outcome | Trouble | None = brought_back(future)
+        except CancelledError:
+            return Trouble("training", _CANCELLED, "")
+        except StudyError as error:
+            cause = error.__cause__
+            alone = isinstance(self.executor, SeparateWorkers) or _of_dask(cause)
+            if not (alone and _worker_died(cause)):
+                raise
+            return Trouble("training", _DEAD, str(cause))
+        return outcome
+
+    def _may_try_again(self, pick: Pick, trouble: Trouble) -> bool:
+        """True for a training that gave no policy, for a cause that may be gone the next time."""
+        if trouble.kept is not None or trouble.pruned or trouble.reason == _CANCELLED:
+            return False
+        tries = self.study.state.picks[pick.number].retries
+        return tries < self.retries or self._is_first_death(pick, trouble)
+
+    def _is_first_death(self, pick: Pick, trouble: Trouble) -> bool:
+        return trouble.reason == _DEAD and pick.number not in self._died
+
+    # ---- one training ------------------------------------------------------------------------
+
+    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
         """Do it in this thread; None: it is somebody else's by now, or was given up."""
         try:
             outcome = perform(
@@ -222,13 +284,6 @@ class Batches:
         except _Pruned as wrapped:
             return Trouble("training", str(wrapped.error), "", wrapped.error)
         return None if pick.number in self._given_up else outcome
-
-    def again(self, pick: Pick, trouble: Trouble) -> tuple[Pick, Job] | None:
-        """Another try, with another seed; None: it is somebody else's by now."""
-        again = self.study.begin_again(
-            pick, trouble.reason, traceback=trouble.traceback, steps=trouble.steps
-        )
-        return None if again is None else (again, self._job(again))
 
     def _give_up(self, pick: Pick) -> None:
         """In another thread: this one is in native code, perhaps for ever, and will not answer."""
@@ -295,9 +350,41 @@ class Batches:
         else:
             self.study.untold.pop(pick.number, None)
 
+    def _record(self, pick: Pick, outcome: Outcome | Trouble, *, again: bool) -> bool:
+        """Tell the study; False: too late.
+
+        Args:
+            pick: what was done.
+            outcome: what it gave.
+            again: it failed, and is handed out once more.
+        """
+        self._keep(pick, outcome.kept)
+        if isinstance(outcome, Outcome):
+            return self._tell(pick, outcome)
+        if again and self._is_first_death(pick, outcome):
+            self._died.add(pick.number)
+            self._give_back([pick])
+            return True
+        reason, trace = _reason(outcome), outcome.traceback
+        if outcome.kept is not None:
+            if not self.study.defer(pick, reason, traceback=trace):
+                return False
+            self.held.append(pick)
+        else:
+            pruned, steps = outcome.pruned, outcome.steps
+            if not self.study.fail(
+                pick, reason, traceback=trace, pruned=pruned, steps=steps, again=again
+            ):
+                return False
+            self.keeper.drop(pick)
+            if pruned:
+                return True
+        self._in_a_row += not again
+        _logger.warning("%s failed: %s", where(self.study, pick), reason)
+        return True
+
     def _tell(self, pick: Pick, outcome: Outcome) -> bool:
         kept = outcome.kept
-        self._keep(pick, kept)
         in_time = self.study.tell(
             pick,
             outcome.returns,
@@ -310,12 +397,10 @@ class Batches:
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
-        if not in_time:
-            self._lose(pick)
-            return False
-        self.keeper.drop(pick)
-        _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
-        return True
+        if in_time:
+            self.keeper.drop(pick)
+            _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
+        return in_time
 
     def _lose(self, pick: Pick) -> None:
         """Somebody else does it, or has done it."""
@@ -323,31 +408,6 @@ class Batches:
         self.keeper.drop(pick)
         _logger.warning("%s is somebody else's by now", where(self.study, pick))
         self._announce("on_lost", pick)
-
-    def _record(self, pick: Pick, trouble: Trouble) -> bool:
-        reason = _reason(trouble)
-        if trouble.kept is None:
-            in_time = self.study.fail(
-                pick,
-                reason,
-                traceback=trouble.traceback,
-                pruned=trouble.pruned,
-                steps=trouble.steps,
-            )
-        else:
-            in_time = self.study.defer(pick, reason, traceback=trouble.traceback)
-        if not in_time:
-            self._lose(pick)
-            return False
-        if trouble.kept is None:
-            self.keeper.drop(pick)
-            if trouble.pruned:
-                return True
-        else:
-            self.held.append(pick)
-        self._in_a_row += 1
-        _logger.warning("%s failed: %s", where(self.study, pick), reason)
-        return True
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         then = "run again: the policy is kept and only evaluated"
@@ -441,136 +501,6 @@ def places_of(study: Study, pick: Pick) -> list[str]:
     base = f"policies/{study.state.uid}/{own}"
     tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]
-
-
-# ---- trainings under way -------------------------------------------------------------------------
-
-
-@dataclass
-class _Flight:
-    """One training.
-
-    Attributes:
-        pick: what it answers.
-        job: as it was sent, to send it again.
-        began: on this process's clock.
-        tries: how often it was begun.
-        died: whether its worker has died; once that is nobody's fault.
-    """
-
-    pick: Pick
-    job: Job
-    began: float
-    tries: int = 1
-    died: bool = False
-
-
-class Flights:
-    """Trainings that an executor is at, or that were done in this thread as they were begun.
-
-    One that failed is begun again as often as the run says, each time with another seed; one whose
-    worker dies once, as it was, since that may be nobody's fault.
-
-    Args:
-        batches: what begins them, and knows where they are done.
-    """
-
-    def __init__(self, batches: Batches) -> None:
-        self._batches, self._executor = batches, batches.executor
-        self._timeout, self._retries = batches.timeout, batches.retries
-        self._flights: dict[Future[Any], _Flight] = {}
-
-    def __len__(self) -> int:
-        return len(self._flights)
-
-    def begin(self, pick: Pick, job: Job) -> None:
-        """Hand one over."""
-        self._send(_Flight(pick, job, time.monotonic()))
-
-    def landed(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
-        """Wait for one or more, and say what they gave; those begun again say nothing so far.
-
-        None: it is somebody else's by now.
-
-        Raises:
-            StudyError: the executor is broken, or what a training gave cannot travel.
-        """
-        done, _ = wait_for(self._flights, self._patience(), return_when=FIRST_COMPLETED)
-        for future in [one for one in self._flights if one in done]:  # in the order they were begun
-            flight = self._flights.pop(future)
-            outcome, died = self._brought(future)
-            flight.began = time.monotonic()
-            if died and not flight.died:
-                flight.died = True
-                self._send(flight)
-                continue
-            if _may_try_again(outcome) and flight.tries <= self._retries:
-                found = self._batches.again(flight.pick, outcome)
-                if found is None:
-                    yield flight.pick, None
-                    continue
-                flight.pick, flight.job = found
-                flight.tries += 1
-                self._send(flight)
-                continue
-            yield flight.pick, outcome
-        for future, flight in list(self._flights.items()):
-            late = time.monotonic() - flight.began - _LATE
-            if self._timeout is not None and late > self._timeout:
-                del self._flights[future]
-                if isinstance(self._executor, SeparateWorkers):
-                    self._executor.kill(future)
-                future.cancel()
-                error = too_long(self._timeout)
-                yield flight.pick, Trouble("training", str(error), "", error)
-
-    def cancel(self) -> None:
-        """Nobody waits for them any more; those that have not begun will not."""
-        for future in self._flights:
-            future.cancel()
-
-    def _send(self, flight: _Flight) -> None:
-        if self._executor is None:
-            future: Future[Any] = Future()
-            future.set_result(self._batches.perform_here(flight.pick, flight.job))
-        else:
-            try:
-                future = self._executor.submit(perform_elsewhere, flight.job)
-            except BrokenExecutor as error:
-                raise StudyError(_DIED) from error
-        self._flights[future] = flight
-
-    def _patience(self) -> float | None:
-        if self._timeout is None:
-            return None
-        first = min(flight.began for flight in self._flights.values())
-        return max(0.0, first + self._timeout + _LATE - time.monotonic()) + 0.01
-
-    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble | None, bool]:
-        """What it gave, and whether its worker has died."""
-        try:
-            outcome: Outcome | Trouble | None = brought_back(future)
-        except CancelledError:
-            return Trouble("training", "it was cancelled", ""), False
-        except StudyError as error:
-            if not (
-                _worker_died(error.__cause__)
-                and (isinstance(self._executor, SeparateWorkers) or _of_dask(error.__cause__))
-            ):
-                raise
-            return Trouble("training", "its worker process died", str(error.__cause__)), True
-        return outcome, False
-
-
-def _may_try_again(outcome: Outcome | Trouble | None) -> TypeGuard[Trouble]:
-    """True for a training that gave no policy, for a cause that may be gone the next time."""
-    return (
-        isinstance(outcome, Trouble)
-        and outcome.kept is None
-        and not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT)
-        and not outcome.pruned
-        and outcome.reason != "it was cancelled"
-    )
 
 
 def brought_back(future: Future[Any]) -> Any:

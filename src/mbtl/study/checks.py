@@ -172,7 +172,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "pick": one_open,
         "reason": TEXT,
         "traceback": _MAYBE_TEXT,
-        "pruned": or_null(FLAG),
+        **dict.fromkeys(("pruned", "again"), or_null(FLAG)),
         "steps": _SECONDS,
     }
     returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": COUNT}
@@ -200,7 +200,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "voided": {"told": told, "reason": TEXT},
         "late": {
             "pick": number(lambda i: i < asked, f"a number of the {asked} picks"),
-            "outcome": (lambda o: o in ("told", "failed", "retried", "deferred"), "what came"),
+            "outcome": (lambda o: o in ("told", "failed", "deferred"), "what came"),
             "token": TEXT,
             **(returns if event.data.get("outcome") == "told" else {}),
         },
@@ -215,7 +215,6 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
             "token": or_null(_TOKEN),
         },
         "failed": failure,
-        "retried": failure,
         "deferred": failure,
         "reopened": {
             "pick": number(

@@ -11,8 +11,7 @@ told      a transfer row arrived, or further entries of one
 late      a result came of a pick that is somebody else's by now, or answered; it changes nothing
 voided    a row that was told is wrong and does not count any more
 deferred  a policy is trained and could not be evaluated; its pick stays open
-failed    a training gave nothing that can be used
-retried   a training failed and is begun again, with another seed, by whoever holds its pick
+failed    a training gave nothing that can be used; or is begun `again`, with another seed
 reopened  a failed pick is to be tried again, with another seed
 stopped   the strategy predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
@@ -28,7 +27,7 @@ from mbtl.arrays import Array
 
 Kind = Literal[
     "created", "extended", "equipped", "asked", "claimed", "released", "told", "late", "voided",
-    "deferred", "failed", "retried", "reopened", "stopped", "reported",
+    "deferred", "failed", "reopened", "stopped", "reported",
 ]  # fmt: skip
 KINDS: tuple[str, ...] = get_args(Kind)
 

@@ -468,16 +468,15 @@ class StudyState:
         return next((i for i, row in enumerate(self.rows) if row.event == told), -1)
 
     def _failed(self, event: Event) -> None:
-        self._close(event.data["pick"], event.data.get("token") or "")
-        self.failures.append(self._lost(event))
-        self.stopped = None  # the prediction believed that this pick would give something
-
-    def _lost(self, event: Event) -> Failure:
-        """What became of a try that gave nothing; its steps are spent."""
-        pick = self.picks[event.data["pick"]]
-        failure = Failure.of(event.data, pick.source)
+        number = event.data["pick"]
+        pick, failure = self.picks[number], Failure.of(event.data, self.picks[number].source)
         self.lost_steps += self._own_steps(pick, failure.steps)
-        return failure
+        if event.data.get("again"):
+            self._open_again(number)
+            return
+        self._close(number, event.data.get("token") or "")
+        self.failures.append(failure)
+        self.stopped = None  # the prediction believed that this pick would give something
 
     def _deferred(self, event: Event) -> None:
         number = event.data["pick"]
@@ -486,17 +485,12 @@ class StudyState:
     def _reopened(self, event: Event) -> None:
         number = event.data["pick"]
         self.failures = [failure for failure in self.failures if failure.pick != number]
-        self._begin_again(number)
-        self._give(number, None)
+        self._open_again(number)
 
-    def _retried(self, event: Event) -> None:
-        self._lost(event)
-        self._begin_again(event.data["pick"])
-        self.open_picks[event.data["pick"]] = self.picks[event.data["pick"]]
-
-    def _begin_again(self, number: int) -> None:
-        pick = self.picks[number]
-        self.picks[number] = replace(pick, retries=pick.retries + 1)
+    def _open_again(self, number: int) -> None:
+        """Nobody holds it, and it has another seed."""
+        pick = replace(self.picks[number].leased(None), retries=self.picks[number].retries + 1)
+        self.picks[number] = self.open_picks[number] = pick
 
     def _close(self, number: int | None, token: str) -> None:
         if number is not None:

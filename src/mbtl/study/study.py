@@ -582,6 +582,7 @@ class Study:
         traceback: str = "",
         pruned: bool = False,
         steps: float | None = None,
+        again: bool = False,
     ) -> bool:
         """Record that a pick gave no policy; it spends budget and is not proposed again.
 
@@ -591,34 +592,18 @@ class Study:
             traceback: where that came from, for people.
             pruned: it was ended early on purpose, so nothing went wrong.
             steps: environment steps that it had; None: not known.
+            again: the next `ask` hands the pick out once more, with another seed, since with its
+                own the training might fail again.
 
         Returns:
             False where it came too late; see `tell`.
         """
-        steps = finite("steps", steps, 0.0)
-        return self._answer("failed", pick, reason, traceback, pruned=pruned, steps=steps)
+        facts = {"steps": finite("steps", steps, 0.0), "pruned": pruned, "again": again}
+        return self._answer("failed", pick, reason, traceback, **facts)
 
     def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
         return self._answer("deferred", pick, reason, traceback)
-
-    def begin_again(
-        self, pick: Pick, reason: str, *, traceback: str = "", steps: float | None = None
-    ) -> Pick | None:
-        """Record that a training failed and is tried once more, at once and by the same worker.
-
-        Args:
-            pick: what `ask` gave.
-            reason: why it failed, in one line.
-            traceback: where that came from, for people.
-            steps: environment steps that it had; None: not known.
-
-        Returns:
-            The pick with another seed, since with its own it might fail again; None: too late, as
-            in `tell`.
-        """
-        in_time = self._answer("retried", pick, reason, traceback, steps=steps)
-        return self._pick(self.state.picks[pick.number]) if in_time else None
 
     def retry(self, pick: Pick | int) -> None:
         """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
@@ -957,18 +942,9 @@ class Study:
         return None if lease is None else lease.worker
 
     def _answer(
-        self,
-        kind: Kind,
-        pick: Pick,
-        reason: str,
-        traceback: str,
-        *,
-        pruned: bool = False,
-        steps: float | None = None,
+        self, kind: Kind, pick: Pick, reason: str, traceback: str, **facts: float | None
     ) -> bool:
-        data: dict[str, Any] = {"reason": reason, "traceback": traceback, "steps": steps}
-        if pruned:
-            data["pruned"] = True
+        data: dict[str, Any] = {"reason": reason, "traceback": traceback, **facts}
         if pick.token:
             data["token"] = pick.token
 
