@@ -86,7 +86,7 @@ class EventLog(Protocol):
         ...
 
     def turn(self) -> AbstractContextManager[None]:
-        """Others that write wait meanwhile, where the database can make them; see `Turns`."""
+        """Others that write wait meanwhile, where the database can make them."""
         ...
 
 
@@ -131,66 +131,6 @@ class MemoryLog:
         return nullcontext()
 
 
-class Turns(threading.local):
-    """Many who write to one study on a server queue up there, instead of colliding.
-
-    An append compares by itself what it follows, so nothing depends on a turn. Without turns,
-    though, most appends of sixty workers come too late, and each look and each try costs all of
-    them time. Each thread has its own; without effect where the database is no PostgreSQL.
-
-    Args:
-        engine: of the database.
-        study: name of the study.
-
-    Attributes:
-        connection: has the turn of this thread; None: it has none. Its transaction is the turn.
-    """
-
-    def __init__(self, engine: sa.Engine, study: str) -> None:
-        self._engine = engine
-        self._key = zlib.crc32(f"mbtl {study}".encode("utf-8", "surrogatepass"))
-        self.connection: sa.Connection | None = None
-
-    @contextmanager
-    def take(self) -> Iterator[None]:
-        """Wait for a turn, and have it until something is written, or until the block ends."""
-        if self._engine.dialect.name == "postgresql" and self.connection is None:
-            self._begin()
-        try:
-            yield
-        finally:
-            self.end()
-
-    def end(self) -> None:
-        """Let the next one begin."""
-        import sqlalchemy as sa
-
-        connection, self.connection = self.connection, None
-        if connection is not None:
-            with suppress(sa.exc.SQLAlchemyError):
-                connection.close()
-
-    def _begin(self) -> None:
-        """Whatever goes wrong here goes wrong again, and is said, when something is written."""
-        import sqlalchemy as sa
-
-        wait = sa.select(
-            sa.func.set_config("lock_timeout", _PATIENCE, True),
-            sa.func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
-            sa.func.pg_advisory_xact_lock(self._key),
-        )
-        # what others wrote while this one waited is seen
-        engine = self._engine.execution_options(isolation_level="READ COMMITTED")
-        with suppress(sa.exc.SQLAlchemyError):
-            connection = engine.connect()
-            try:
-                connection.execute(wait)
-            except BaseException:
-                connection.close()
-                raise
-            self.connection = connection
-
-
 class SqlLog:
     """Events of one named study in a database table.
 
@@ -214,7 +154,6 @@ class SqlLog:
             check_name(study)
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
-        self._turns = Turns(self._engine, study)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -314,9 +253,36 @@ class SqlLog:
 
         return self._do(fetch)
 
-    def turn(self) -> AbstractContextManager[None]:
-        """Writers to this study queue up on the server; see `EventLog`."""
-        return self._turns.take()
+    @contextmanager
+    def turn(self) -> Iterator[None]:
+        """Many who write to one study on a server queue up there, instead of colliding.
+
+        An append compares by itself what it follows, so nothing depends on a turn, and whatever
+        goes wrong with one goes wrong again, and is said, when something is written. Without turns,
+        though, most appends of sixty workers come too late, and each look and each try costs all of
+        them time. The turn is a transaction of its own; no effect where this is no PostgreSQL.
+        """
+        import sqlalchemy as sa
+
+        if self._engine.dialect.name != "postgresql":
+            yield
+            return
+        key = zlib.crc32(f"mbtl {self.study}".encode("utf-8", "surrogatepass"))
+        wait = sa.select(
+            sa.func.set_config("lock_timeout", _PATIENCE, True),
+            sa.func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
+            sa.func.pg_advisory_xact_lock(key),
+        )
+        connection = None
+        with suppress(sa.exc.SQLAlchemyError):
+            connection = self._engine.connect()
+            connection.execute(wait)
+        try:
+            yield
+        finally:
+            if connection is not None:
+                with suppress(sa.exc.SQLAlchemyError):
+                    connection.close()
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -356,31 +322,12 @@ class SqlLog:
         self, work: Callable[[sa.Connection], T], *, writes: bool = False, single: bool = False
     ) -> T:
         """Once; a single statement is a transaction by itself, and needs no words around it."""
-        if self._turns.connection is not None:
-            return self._try_in_turn(work, self._turns.connection, writes=writes)
         options: dict[str, Any] = {WRITES: writes}
         if single and self._engine.dialect.name == "postgresql":
             options["isolation_level"] = "AUTOCOMMIT"
         engine = self._engine.execution_options(**options)
         with database_errors(self.url), engine.begin() as connection:
             done = work(connection)
-        self.patience.answered()
-        return done
-
-    def _try_in_turn(
-        self, work: Callable[[sa.Connection], T], connection: sa.Connection, *, writes: bool
-    ) -> T:
-        """Once, in the transaction of a turn; what goes wrong ends it, and may be tried without."""
-        try:
-            with database_errors(self.url):
-                done = work(connection)
-                if writes:
-                    connection.commit()
-        except StorageError as error:
-            self._turns.end()
-            if isinstance(error, Conflict):
-                raise
-            raise Unreachable(str(error)) from error
         self.patience.answered()
         return done
 
