@@ -63,6 +63,8 @@ P = ParamSpec("P")
 
 T = TypeVar("T")
 
+Decided = TypeVar("Decided", bound=Event | None)
+
 
 def _alone(
     method: Callable[Concatenate[Study, P], T],
@@ -834,24 +836,18 @@ class Study:
 
                 def settled(
                     now: StudyState, found: Any = found, known: Any = known, holder: Any = holder
-                ) -> Event:
+                ) -> Event | None:
                     if now.proposing is None or now.proposing.token != token:
-                        raise _Superseded
+                        return None
                     news = known != (len(now.rows), len(now.failures))
-                    if isinstance(found, str):
-                        if news:  # the prediction did not know of it
-                            raise _Superseded
-                        return Event("stopped", {"reason": found})
+                    if isinstance(found, str):  # with news, the prediction did not know of them
+                        return None if news else Event("stopped", {"reason": found})
                     if news and not ask.is_open(now, found):
-                        raise _Superseded
+                        return None
                     return Event("asked", {**found, **holder})
 
-                try:
-                    self._commit(settled)
-                    done = True
-                except _Superseded:
-                    continue
-                if isinstance(found, str):
+                done = self._commit(settled) is not None
+                if done and isinstance(found, str):
                     raise StudyFinished(f"the study is finished: {found}")
         finally:
             if not done:
@@ -861,12 +857,11 @@ class Study:
     def _stop_proposing(self, token: str) -> None:
         """Let the next asker propose at once, whatever has happened here."""
 
-        def released(state: StudyState) -> Event:
-            if state.proposing is None or state.proposing.token != token:
-                raise _Superseded
-            return Event("released", {"pick": len(state.picks)})
+        def released(state: StudyState) -> Event | None:
+            mine = state.proposing is not None and state.proposing.token == token
+            return Event("released", {"pick": len(state.picks)}) if mine else None
 
-        with contextlib.suppress(StorageError, _Superseded):  # it ends by the clock, too
+        with contextlib.suppress(StorageError):  # it ends by the clock, too
             self._commit(released)
 
     def _pick(self, record: PickRecord) -> Pick:
@@ -885,19 +880,16 @@ class Study:
             record.tokens[-1] if record.tokens else "",
         )
 
-    def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
+    def _commit(self, decide: Callable[[StudyState], Decided]) -> Decided:
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
         turn = _Turn(_LONGEST_COMMIT)
         while True:
             try:
-                event = self._attempt(decide)
+                return self._attempt(decide)
             except Conflict:
                 turn.wait()
-                continue
-            assert event is not None
-            return event
 
-    def _attempt(self, decide: Callable[[StudyState], Event | None]) -> Event | None:
+    def _attempt(self, decide: Callable[[StudyState], Decided]) -> Decided:
         """Append what `decide` makes of the newest state, which no other thread changes meanwhile.
 
         Returns:
@@ -909,10 +901,10 @@ class Study:
         with self._lock:
             event = decide(self.refresh())
             if event is None:
-                return None
+                return event
             with self._turn() as queued:
                 if queued and (event := decide(self.refresh())) is None:
-                    return None
+                    return event
                 check_event(event, self._state)
                 before = self._holder(event)
                 self.log.append(event, after=self._state.seq)
@@ -965,7 +957,3 @@ class _Turn:
     def wait(self) -> None:
         time.sleep(self._pause * random.random())
         self._pause = min(2 * self._pause, self._longest)
-
-
-class _Superseded(Exception):
-    """What was to be recorded does not follow from the newest state."""
