@@ -41,7 +41,7 @@ from mbtl.errors import Unreachable
 from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study import Callback
-from mbtl.study.runner import Workers, run
+from mbtl.study.study import Workers, run
 from mbtl.trainers import Trained, Trainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})

@@ -57,28 +57,25 @@ def layer_of(name):
 
 @functools.cache
 def statements(path):
-    """Imports of a module, each with whether it is for type checkers alone."""
-    found, left = [], [(ast.parse(path.read_text()), False)]
+    """Imports of a module, those for type checkers too."""
+    found, left = [], [ast.parse(path.read_text())]
     while left:
-        node, for_types = left.pop()
+        node = left.pop()
         if isinstance(node, ast.Import | ast.ImportFrom):
-            found.append((node, for_types))
-        for_types |= isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+            found.append(node)
         inner = (ast.stmt, ast.ExceptHandler, ast.match_case)
-        left += [(one, for_types) for one in ast.iter_child_nodes(node) if isinstance(one, inner)]
+        left += [one for one in ast.iter_child_nodes(node) if isinstance(one, inner)]
     return found
 
 
 @functools.cache
-def imports(path, types=True):
+def imports(path):
     """(module, name) of every import of our own.
 
     A module that is imported by `from package import module` has no name.
     """
     found = []
-    for node, for_types in statements(path):
-        if for_types and not types:
-            continue
+    for node in statements(path):
         if isinstance(node, ast.Import):
             found += [(a.name, None) for a in node.names if a.name.startswith("mbtl.")]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "mbtl":
@@ -186,15 +183,13 @@ def test_nothing_is_called_utils():
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    """In functions, too; what is for type checkers does not count.
+    """In functions and for type checkers, too.
 
     A package that is imported by name alone stands for what its `__init__` re-exports.
     """
     sorter = graphlib.TopologicalSorter()
     for path in modules():
-        sorter.add(
-            name_of(path), *({one for one, _ in imports(path, False)} - {name_of(path), "mbtl"})
-        )
+        sorter.add(name_of(path), *({one for one, _ in imports(path)} - {name_of(path), "mbtl"}))
     sorter.prepare()  # raises CycleError, which names one
 
 

@@ -14,8 +14,8 @@ from mbtl.report.content import content
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines, show_summary
 from mbtl.selectors import Proposal, Traits
-from mbtl.study.callbacks import PrintProgress
 from mbtl.study.closing_report import plan_of
+from mbtl.study.study import PrintProgress
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): N})
@@ -175,7 +175,7 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
     portfolio = study.portfolio()
     nearest = np.abs(np.arange(N)[:, None] - np.array(sources)).argmin(axis=1)
     assert portfolio.routing.route.tolist() == nearest.tolist()
-    plan = plan_of(study)
+    plan = plan_of(study.state)
     assert plan.route.tolist() == nearest.tolist()
     assert summarise_study(study).serving == tuple(nearest)
     for k in (1, 2):  # and so for every prefix

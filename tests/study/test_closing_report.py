@@ -44,7 +44,7 @@ def test_a_report_costs_no_more_than_the_study_and_says_before_how_much(capsys):
     result, played = run(study)
     assert result.value == study.value == result.fresh.value
     evaluations = sum(int(np.isfinite(row.returns).sum()) for row in study.state.rows)
-    plan = plan_of(study)
+    plan = plan_of(study.state)
     assert sum(played) == plan.evaluations <= evaluations < 5 * (TARGETS + 1) + 1
     assert result.fresh.contexts == len(plan.contexts) == evaluations // 2
     assert f"{plan.evaluations} evaluations of a policy on a context" in capsys.readouterr().err
@@ -53,7 +53,7 @@ def test_a_report_costs_no_more_than_the_study_and_says_before_how_much(capsys):
     assert abs(result.value - true) < result.fresh.margin < study.routing.value.margin
     assert not run(study)[1]  # it is done
     again, played = run(study, report="all")
-    assert sum(played) == plan_of(study, whole=True).evaluations > evaluations
+    assert sum(played) == plan_of(study.state, whole=True).evaluations > evaluations
     assert again.fresh.contexts == N
     assert abs(again.value - true) < again.fresh.margin < result.fresh.margin
     assert not run(study, report="all")[1]
@@ -65,7 +65,7 @@ def told(n, rows, targets):
     for source in np.linspace(0, n - 1, rows).astype(int).tolist():
         at = np.linspace(0, n - 1, targets).astype(int)
         study.tell(source, np.abs(at - source)[:, None] / -n * np.ones((1, 2)) + 1.0, targets=at)
-    return plan_of(study)
+    return plan_of(study.state)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from flat import created
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
-from mbtl.study.callbacks import PrintProgress
 from mbtl.study.heartbeat import Keeper
+from mbtl.study.study import PrintProgress
 from mbtl.trainers import Progress
 
 N = 12
@@ -282,7 +282,7 @@ def test_a_run_does_what_another_leaves_undone(place, clock, monkeypatch):
         waited.append(seconds)
         clock.now += 1.0
 
-    monkeypatch.setattr(mbtl.study.runner.time, "sleep", sleep)
+    monkeypatch.setattr(mbtl.study.study.time, "sleep", sleep)
     study = mbtl.load_study(place)
     study.run(trainer=TRAINER, report=False)
     assert study.is_finished

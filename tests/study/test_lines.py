@@ -10,8 +10,8 @@ from line_problem import evaluate, line
 
 import mbtl
 from flat import created, ran
-from mbtl.study.callbacks import TensorBoardCallback
 from mbtl.study.job import Job, perform_elsewhere
+from mbtl.study.tensorboard import TensorBoardCallback
 from mbtl.trainers import FunctionTrainer, Progress
 
 N = 15

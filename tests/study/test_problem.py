@@ -13,7 +13,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.problems import CMDP, Preset
 from mbtl.study import Callback
-from mbtl.study.callbacks import PrintProgress
+from mbtl.study.study import PrintProgress
 from mbtl.trainers.contract import FunctionTrainer, recipe_digest
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("gravity", 1.0, 9.0, unit="m/s2"): 9})

@@ -12,7 +12,7 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Pick, Study
-from mbtl.study.callbacks import PrintProgress, estimate, numbered, said
+from mbtl.study.study import PrintProgress, estimate
 from mbtl.trainers.contract import Progress
 
 
@@ -55,7 +55,9 @@ class LiveProgress(PrintProgress):
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
         self._begun[pick.number] = time.monotonic()
-        label = f"pick {pick.number + 1}: {said(study, pick)}"
+        if pick.number in self._pick_bars:  # it failed, and is begun again
+            self._bars.remove_task(self._pick_bars[pick.number])
+        label = f"pick {pick.number + 1}: {_said(study, pick)}"
         self._pick_bars[pick.number] = self._bars.add_task(label, total=1.0, note="training")
         self._update(study)
 
@@ -67,7 +69,7 @@ class LiveProgress(PrintProgress):
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
-        self._work.say(f"{numbered(study, pick, '/')}  {said(study, pick)}  {note}")
+        self._work.say(f"{study.state.numbered(pick, '/')}  {_said(study, pick)}  {note}")
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
         """Training is done."""
@@ -77,7 +79,7 @@ class LiveProgress(PrintProgress):
     def on_told(self, study: Study, pick: Pick) -> None:
         """V, how long it took and why it was chosen."""
         took = time.monotonic() - self._begun[pick.number]
-        head = f"{numbered(study, pick, '/')}  {said(study, pick):<24}"
+        head = f"{study.state.numbered(pick, '/')}  {_said(study, pick):<24}"
         self._say(f"{head}  {estimate(study)}  {took / 60:.1f} min  {pick.reason}", pick)
         self._update(study)
 
@@ -107,6 +109,10 @@ class LiveProgress(PrintProgress):
             minutes = seconds / of * max(left, 0.0) / max(len(self._begun), 1) / 60
             note += f"{', ' if note else ''}about {max(round(minutes), 1)} min left"
         self._bars.update(self._study_bar, completed=done, note=note)
+
+
+def _said(study: Study, pick: Pick) -> str:
+    return study.state.said(study.state.picks[pick.number])
 
 
 def _price(study: Study, number: int) -> float:

@@ -40,7 +40,7 @@ from mbtl.study import (
     create_study,
 )
 from mbtl.study.budget import counted
-from mbtl.study.runner import run as run_study
+from mbtl.study.study import run as run_study
 from mbtl.trainers.contract import Trainer
 
 NOTHING_LEFT = 0.005
@@ -172,7 +172,7 @@ def run(
     with LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
-            from mbtl.study.callbacks import TensorBoardCallback
+            from mbtl.study.tensorboard import TensorBoardCallback
 
             callbacks.append(TensorBoardCallback(tensorboard))
         try:

@@ -23,7 +23,7 @@ from mbtl.problems import CMDP, resolve_cmdp
 from mbtl.study import Study, load_study
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.database import PATIENCE, Patience
-from mbtl.study.runner import LEASE, Failures, Workers, run
+from mbtl.study.study import LEASE, Failures, Workers, run
 from mbtl.trainers.contract import Trainer, recipe_of
 
 _LENGTHS = ("timesteps", "episodes", "eval_episodes")

@@ -2,13 +2,11 @@
 
 from mbtl.study.artifacts import Artifact, ArtifactStore
 from mbtl.study.budget import Cost, Steps
-from mbtl.study.callbacks import Callback
 from mbtl.study.create import Evaluation, Stopping, create_study, load_study
 from mbtl.study.listing import StudyEntry, delete_study, list_studies
 from mbtl.study.records import Pick, StudyFinished
-from mbtl.study.runner import Failures, RunResult, Workers
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
-from mbtl.study.study import Study
+from mbtl.study.study import Callback, Failures, RunResult, Study, Workers
 from mbtl.study.trainings import Training, Trainings
 
 __all__ = [

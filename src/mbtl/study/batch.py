@@ -13,13 +13,15 @@ from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
 from mbtl.study.artifacts import Artifact, spools_of
-from mbtl.study.callbacks import Callback, few_episodes, where
+from mbtl.study.ask_tell import AskTell
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
@@ -31,11 +33,9 @@ from mbtl.study.job import (
     perform_elsewhere,
 )
 from mbtl.study.records import Pick
+from mbtl.study.state import StudyState
 from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
-
-if TYPE_CHECKING:
-    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 _DIED = (
@@ -44,6 +44,8 @@ _DIED = (
 )
 
 
+_LEAST_FREEDOM = 10
+"""Degrees of freedom, of contexts and their episodes, below which an interval says little."""
 _LATE = 30.0
 """Seconds after its time limit when a job is given up that has not ended itself: it is in native
 code that does not return, or its process took long to begin."""
@@ -66,7 +68,7 @@ class Batches:
         executor: where; None: in this thread, each as it is begun.
         failures_allowed: failures in a row that are borne; one more ends the run.
         rehearse: the first policy is read back and evaluated on two targets before all else.
-        callbacks: told what happens.
+        announce: calls a method of all callbacks, by its name, with what it takes.
         keeper: keeps the leases of the picks.
         timeout: seconds that a training and its evaluation may take; None: as many as they want.
         retries: so often a training that failed is begun again before it counts as failed.
@@ -74,12 +76,12 @@ class Batches:
             that nobody tries again at once.
     """
 
-    study: Study
+    study: AskTell
     trainer: Trainer
     executor: Executor | None
     failures_allowed: int
     rehearse: bool
-    callbacks: Sequence[Callback]
+    announce: Callable[..., None]
     keeper: Keeper
     timeout: float | None = None
     retries: int = 0
@@ -292,8 +294,7 @@ class Batches:
         reason = f"{too_long(self.timeout)}, in native code that does not return"
         self.study.fail(pick, reason)
         self.keeper.drop(pick)
-        for callback in self.callbacks:
-            callback.on_stuck(self.study, pick, reason)
+        self.announce("on_stuck", pick, reason)
 
     def _progressed(self, pick: Pick, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
@@ -380,7 +381,7 @@ class Batches:
             if pruned:
                 return True
         self._in_a_row += not again
-        _logger.warning("%s failed: %s", where(self.study, pick), reason)
+        _logger.warning("%s failed: %s", self.study.state.where(pick), reason)
         return True
 
     def _tell(self, pick: Pick, outcome: Outcome) -> bool:
@@ -399,14 +400,14 @@ class Batches:
         self._in_a_row = 0
         if in_time:
             self.keeper.drop(pick)
-            _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
+            _logger.info("%s, V = %.4f", self.study.state.where(pick), self.study.value)
         return in_time
 
     def _lose(self, pick: Pick) -> None:
         """Somebody else does it, or has done it."""
         self.study.untold.pop(pick.number, None)
         self.keeper.drop(pick)
-        _logger.warning("%s is somebody else's by now", where(self.study, pick))
+        _logger.warning("%s is somebody else's by now", self.study.state.where(pick))
         self._announce("on_lost", pick)
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
@@ -419,8 +420,8 @@ class Batches:
             place = trouble.kept.artifact.place
             then = f"run again, or remove {place} to have the policy trained again"
         return failure(
-            f"{where(self.study, pick)} failed: {_reason(trouble)}; the run ends here ({why}), so "
-            f"mend the cause and {then}",
+            f"{self.study.state.where(pick)} failed: {_reason(trouble)}; the run ends here "
+            f"({why}), so mend the cause and {then}",
             trouble,
         )
 
@@ -444,19 +445,16 @@ class Batches:
 
     def _announce_told(self, pick: Pick) -> None:
         self._announce("on_told", pick)
-        if words := few_episodes(self.study, self.trainer):
+        if words := few_episodes(self.study.state, self.trainer):
             self._announce("on_note", words)
 
     def _announce(self, method: str, *facts: Any) -> None:
-        for callback in self.callbacks:
-            try:
-                getattr(callback, method)(self.study, *facts)
-            except TrainingPruned as error:
-                if method != "on_progress":
-                    raise _CallbackError(error) from error
-                raise _Pruned(error) from error
-            except Exception as error:
-                raise _CallbackError(error) from error
+        try:
+            self.announce(method, *facts)
+        except TrainingPruned as error:
+            raise (_Pruned if method == "on_progress" else _CallbackError)(error) from error
+        except Exception as error:
+            raise _CallbackError(error) from error
 
 
 class _CallbackError(BaseException):
@@ -491,7 +489,26 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     return error
 
 
-def places_of(study: Study, pick: Pick) -> list[str]:
+def few_episodes(state: StudyState, trainer: Trainer) -> str | None:
+    """That few episodes say little of chance; None: they say enough, or it was said.
+
+    It is said before the first training where the trainer knows how many it plays (its attribute
+    `eval_episodes`), and else after that.
+    """
+    rows, episodes = state.rows, getattr(trainer, "eval_episodes", None)
+    contexts = state.spec.eval_targets or state.spec.space.n
+    if len(rows) != (1 if episodes is None else 0):
+        return None
+    if episodes is None:
+        episodes, contexts = rows[0].episodes, int(np.isfinite(rows[0].returns).sum())
+    if (episodes - 1) * contexts >= _LEAST_FREEDOM:
+        return None
+    if episodes == 1:
+        return "one episode per context says nothing of chance: play 2 or more to know V's error"
+    return f"{episodes} episodes of so few contexts say little of chance: play more"
+
+
+def places_of(study: AskTell, pick: Pick) -> list[str]:
     """Where the policy of a pick may be, and last where it is to be written.
 
     Below the study's folder; studies that share it, or a database, keep apart by their uid.

@@ -10,8 +10,8 @@ Notation (shapes): k policies in training order, N contexts, n of them played, E
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,6 @@ from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.study.state import StudyState
-from mbtl.study.time_limits import at_most
-from mbtl.trainers.contract import Trainer, checked_returns, completed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtl.study.study import Study
 
 Indices = NDArray[np.intp]
 
@@ -97,14 +90,14 @@ class ReportPlan:
         return np.asarray(self.contexts[self.route[self.contexts] == policy])
 
 
-def plan_of(study: Study, *, whole: bool = False) -> ReportPlan:
+def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
     """What the closing report of a study evaluates now: who serves, and the best single policy.
 
     Args:
-        study: with a row or more.
+        state: of the study, with a row or more.
         whole: play all contexts, however many evaluations the study itself has made.
     """
-    state, spec = study.state, study.spec
+    spec = state.spec
     routing, weights = state.routing(), spec.space.weights
     every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights))
     played = sum(int(np.isfinite(row.returns).sum()) for row in state.rows)
@@ -117,55 +110,25 @@ def plan_of(study: Study, *, whole: bool = False) -> ReportPlan:
     return ReportPlan(every.route, every.best_single, some)
 
 
-def plan_to_do(study: Study, *, whole: bool = False) -> ReportPlan | None:
+def plan_to_do(
+    state: StudyState, in_memory: Iterable[int], *, whole: bool = False
+) -> ReportPlan | None:
     """The plan, if it is not done already and every policy that it needs is at hand.
 
     Nor of a V that is a mean over the worst contexts: by fresh episodes the unlucky ones would be.
-    """
-    state = study.state
-    if not state.rows or study.spec.risk < 1.0 or (state.fresh is not None and not whole):
-        return None
-    plan = plan_of(study, whole=whole)
-    if state.fresh is not None and _played(state.fresh.served)[plan.contexts].all():
-        return None
-    at_hand = all(state.rows[i].policy or i in study.policies for i in plan.policies)
-    return plan if at_hand else None
-
-
-def report_fresh_returns(
-    study: Study,
-    trainer: Trainer,
-    plan: ReportPlan,
-    timeout: float | None = None,
-    on_stuck: Callable[[], None] | None = None,
-) -> None:
-    """Evaluate what the plan says on fresh seeds, and record it.
 
     Args:
-        study: that the plan is of.
-        trainer: reads and evaluates the policies.
-        plan: see `plan_of`.
-        timeout: seconds for each policy; None: no limit.
-        on_stuck: see `mbtl.study.time_limits.at_most`.
+        state: of the study.
+        in_memory: places of the policies that are there, though not saved.
+        whole: as of `plan_of`.
     """
-    rows, portfolio = len(study.state.rows), study.portfolio(trainer)
-    found: dict[int, Array] = {}
-    for i in plan.policies:
-        targets = plan.targets(i)
-        contexts = [study.space.context(int(t)) for t in targets]
-        seeds = study.evaluation_seeds(targets, Purpose.REPORT)
-        with at_most(timeout, on_stuck):
-            returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
-        named = study.space.named(targets)
-        found[i] = completed(checked_returns(returns, targets.size, named))
-    episodes = min(returns.shape[1] for returns in found.values())
-    served, alone = np.full((2, study.space.n, episodes), np.nan)
-    alone[plan.contexts] = found[plan.best_single][:, :episodes]
-    for i, returns in found.items():
-        targets = plan.targets(i)
-        mine = plan.route[targets] == i
-        served[targets[mine]] = returns[mine, :episodes]
-    study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
+    if not state.rows or state.spec.risk < 1.0 or (state.fresh is not None and not whole):
+        return None
+    plan = plan_of(state, whole=whole)
+    if state.fresh is not None and _played(state.fresh.served)[plan.contexts].all():
+        return None
+    saved = {place for place, row in enumerate(state.rows) if row.policy}
+    return plan if saved.union(in_memory).issuperset(plan.policies) else None
 
 
 def value_of(state: StudyState) -> float:

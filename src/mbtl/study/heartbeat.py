@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import threading
 from logging import getLogger
-from typing import TYPE_CHECKING
 
 from mbtl.errors import MbtlError
+from mbtl.study.ask_tell import AskTell
+from mbtl.study.records import Pick
 from mbtl.trainers.contract import Progress
-
-if TYPE_CHECKING:
-    from mbtl.study.records import Pick
-    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 
@@ -29,7 +26,7 @@ class Keeper:
         seconds: that a lease lasts; three heartbeats fall into it.
     """
 
-    def __init__(self, study: Study, seconds: float) -> None:
+    def __init__(self, study: AskTell, seconds: float) -> None:
         self.seconds = seconds
         self._study = study
         self._log = study.log

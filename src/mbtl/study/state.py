@@ -21,7 +21,7 @@ from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill, counted
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
-from mbtl.study.records import LOGGED, Failure, FreshReturns, PickRecord, ToldRow
+from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
 
 ABILITIES = ("sets", "start", "length")
@@ -271,6 +271,16 @@ class StudyState:
         """Environment steps that a pick is expected to cost, all in."""
         count = self.spec.space.n if pick.targets is None else len(pick.targets)
         return self.unit_steps * pick.price + self.target_steps * count
+
+    def where(self, pick: Pick) -> str:
+        """A pick for people, who count from 1: "pick 3 of 5: gravity = 7.5 m/s2"."""
+        return f"{self.numbered(pick)}: {self.said(self.picks[pick.number])}"
+
+    def numbered(self, pick: Pick, of: str = " of ") -> str:
+        """Which it is: "pick 3 of 5", or "pick 3, 2.5 of 4 units" where they differ in price."""
+        if self.spec.steps is None and not self.spec.any_training:
+            return f"pick {pick.number + 1}{of}{self.spec.budget}"
+        return f"pick {pick.number + 1}, {self.spent_words()}"
 
     def said(self, one: PickRecord | ToldRow) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""

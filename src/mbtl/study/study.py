@@ -1,99 +1,134 @@
-"""The study: ask for the next training, tell its transfer row, repeat.
+"""A study with its runs: ask, train, evaluate, tell, until done; and what a run tells meanwhile.
 
-It decides; it trains nothing. Its log of events is the study, its state a replay of them.
+It loses at most the training in flight; see `mbtl.study.job` and `mbtl.study.batch` for how.
 """
 
 from __future__ import annotations
 
-import contextlib
-import math
+import pickle
 import random
-import threading
+import shlex
+import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial, wraps
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar, overload
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from logging import getLogger
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, few
-from mbtl.history import History
-from mbtl.objective import Bounds
-from mbtl.plain import finite, is_finite, short, whole
-from mbtl.routing import Routing
-from mbtl.seeds import Purpose, evaluation_seeds
-from mbtl.selectors import SelectionProblem, Selector
-from mbtl.settings import first_difference
-from mbtl.study import ask, tell
-from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
-from mbtl.study.budget import Steps
-from mbtl.study.checks import advance, check_event
-from mbtl.study.closing_report import value_of
-from mbtl.study.database import database_file
-from mbtl.study.events import Event, Kind
-from mbtl.study.job import Kept
-from mbtl.study.leases import Lease, Presence, Watch, new_worker
-from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
-from mbtl.study.serialisation import changed_code, code_mismatch
-from mbtl.study.spec import StudySpec
-from mbtl.study.state import ABILITIES, StudyState
-from mbtl.study.storage import Conflict, EventLog, MemoryLog
-from mbtl.study.trainings import Trainings, trainings_of
+from mbtl.errors import (
+    InvalidInput,
+    MbtlError,
+    StorageError,
+    StudyError,
+    TrainingFailed,
+    UnsavedPolicies,
+)
+from mbtl.faults import FAULTS, reason_of, say
+from mbtl.plain import short, whole
+from mbtl.processes import SeparateWorkers, separate_workers
+from mbtl.seeds import Purpose
+from mbtl.study import ask
+from mbtl.study.ask_tell import AskTell
+from mbtl.study.batch import Batches, brought_back, failure, few_episodes
+from mbtl.study.closing_report import FreshValue, ReportPlan, fresh_value, plan_to_do
+from mbtl.study.database import database_file, shown
+from mbtl.study.heartbeat import Keeper
+from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
+from mbtl.study.job import rehearse as rehearsed
+from mbtl.study.records import Failure, Pick, StudyFinished
+from mbtl.study.time_limits import at_most, too_long
+from mbtl.study.trainings import Trainings
 from mbtl.trainers.contract import (
     FunctionTrainer,
+    Progress,
+    RehearsingTrainer,
     Trainer,
     checked_returns,
-    checked_targets,
-    code_of,
-    equipment_of,
-    recipe_digest,
+    completed,
 )
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
-    from mbtl.study.callbacks import Callback
-    from mbtl.study.runner import Failures, RunResult, Workers
+
+_logger = getLogger(__name__)
+
+LEASE = 60.0
+"""Seconds for which a run may be silent before others take its trainings over."""
+_LOOK, _LONGEST_LOOK = 0.1, 2.0
+"""Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
 
-P = ParamSpec("P")
+@dataclass(frozen=True)
+class Failures:
+    """What a run does about trainings that fail.
 
-T = TypeVar("T")
+    Attributes:
+        most_in_a_row: so many failures in a row end the run, and so does the first one while
+            nothing has succeeded; 1: the first one always.
+        retries: so often a training that failed is begun again, each time with another seed, before
+            it counts as failed. One whose worker process died is begun again once in any case, as
+            it was.
+        retry_failed: train again where trainings of former runs failed; see `Study.retry`.
+        rehearse: evaluate an untrained policy on two contexts before the first training, where the
+            trainer can make one; else the first policy on two contexts before all others.
 
-Decided = TypeVar("Decided", bound=Event | None)
+    Raises:
+        InvalidInput: a number that is too small.
+    """
 
+    most_in_a_row: int = 3
+    retries: int = 0
+    retry_failed: bool = False
+    rehearse: bool = True
 
-def _alone(
-    method: Callable[Concatenate[Study, P], T],
-) -> Callable[Concatenate[Study, P], T]:
-    """What reads the state, while no other thread of this process changes it."""
-
-    @wraps(method)
-    def locked(self: Study, /, *args: P.args, **named: P.kwargs) -> T:
-        with self._lock:
-            return method(self, *args, **named)
-
-    return locked
-
-
-_PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 1.0, 0.1
-
-"""Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
-a moment, then ever more, since many who look at once only disturb each other."""
-
-_QUEUED = 50
-
-"""Writes that take turns after one that came too late: where nobody disturbs, that costs time."""
-
-_WATCH = 1.0
-
-"""Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
+    def __post_init__(self) -> None:
+        for name, least in (("most_in_a_row", 1), ("retries", 0)):
+            if whole(f"{name} of Failures", value := getattr(self, name)) < least:
+                raise InvalidInput(f"{name} of Failures is {least} or more, got {short(value)}")
 
 
-class Study:
+@dataclass(frozen=True)
+class Workers:
+    """Where the trainings of a run are done, and how long they may take.
+
+    Attributes:
+        parallel: picks trained at the same time. Each is told when it is done, and the next one is
+            proposed at once, without the rows of those under way.
+        executor: does them when `parallel` > 1; None: processes of this machine.
+        deterministic: ask for the next picks only when all of a batch are told, so that a study
+            does not depend on how long trainings take. Slots stand idle meanwhile.
+        lease: seconds without a sign of life after which other runs take the trainings over. On one
+            machine they do so at once when the process has ended.
+        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
+            count as failed. In this process only Python code and waits can be ended, and native
+            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
+
+    Raises:
+        InvalidInput: a number that is too small.
+    """
+
+    parallel: int = 1
+    executor: Executor | None = None
+    deterministic: bool = False
+    lease: float = LEASE
+    timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        if whole("parallel of Workers", self.parallel) < 1:
+            raise InvalidInput(f"parallel of Workers is 1 or more, got {short(self.parallel)}")
+        for name, seconds in (("lease", self.lease), ("timeout", self.timeout)):
+            if seconds is not None and not seconds > 0:
+                raise InvalidInput(f"{name} of Workers is a number of seconds > 0, got {seconds!r}")
+
+
+class Study(AskTell):
     """One selection run over an event log. Make one with `create_study` or `load_study`.
 
     Threads may share one. Sent to another process (pickled), it is opened there anew, as another
@@ -113,611 +148,6 @@ class Study:
         selector: the strategy, which proposes trainings.
     """
 
-    def __init__(
-        self,
-        log: EventLog,
-        selector: Selector,
-        *,
-        folder: Path | ArtifactStore | None,
-        name: str = "study",
-        trainer: Trainer | None = None,
-        state: StudyState | None = None,
-    ) -> None:
-        """Use `create_study` or `load_study`; the log must hold a `created` event.
-
-        `state` is what was read of it before.
-        """
-        self.name = name
-        self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
-        self.trainer = trainer
-        self.policies: dict[int, Any] = {}
-        self.untold: dict[int, Kept] = {}
-        self.stopping: str | None = None
-        self._made: str | None = None  # digest of what this object's policies are made with
-        self.worker = new_worker()
-        self.database = database_file(getattr(log, "url", ""))
-        self.presence = Presence(self.database)
-        self.log = log
-        self._lock = threading.RLock()
-        self._state = StudyState() if state is None else state
-        self.selector = selector
-        self._queued = 0
-        self.refresh()
-
-    def __repr__(self) -> str:
-        told, state, spec = len(self._state.rows), self._state, self.spec
-        usual = spec.steps is None and not spec.any_training
-        how = f"{told} of {spec.budget} trainings told" if usual else (
-            f"{told} policies told, {state.spent_words()}"
-        )  # fmt: skip
-        return f"Study({self.name!r}: {how}, {spec.space!r})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if isinstance(self.log, MemoryLog):
-            raise StudyError(
-                f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
-                "another or copied; make it with storage=<path or URL>"
-            )
-        given: dict[str, Any] = {
-            "folder": self.artifacts,
-            "name": self.name,
-            "trainer": self.trainer,
-        }
-        return partial(type(self), **given), (self.log, self.selector)
-
-    # ---- reading ------------------------------------------------------------------------------
-
-    @_alone
-    def refresh(self) -> StudyState:
-        """Apply what other processes appended, and return the state."""
-        for event in self.log.read(self._state.seq):
-            gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
-            advance(self._state, event)
-            if gone is not None:  # policies are kept by the place of their row
-                kept = {i: p for i, p in self.policies.items() if i != gone}
-                self.policies = {i - (i > gone): policy for i, policy in kept.items()}
-        if not self._state.seq:
-            raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
-        return self._state
-
-    @property
-    def folder(self) -> Path | None:
-        """Policies are saved below it; None where they are elsewhere, or nowhere."""
-        return self.artifacts.root if isinstance(self.artifacts, FolderStore) else None
-
-    @property
-    def spec(self) -> StudySpec:
-        """What the study was created with."""
-        return self._state.spec
-
-    @property
-    def state(self) -> StudyState:
-        """Everything recorded, as of the last `refresh`."""
-        return self._state
-
-    @property
-    def space(self) -> ContextSpace:
-        """The contexts."""
-        return self.spec.space
-
-    @property
-    def problem(self) -> SelectionProblem:
-        """What the strategy may know before any training."""
-        return self._state.problem()
-
-    @property
-    @_alone
-    def history(self) -> History:
-        """The rows told so far, as performance."""
-        return self._state.history()
-
-    @property
-    @_alone
-    def bounds(self) -> Bounds:
-        """Normalisation in force: given, or the range of the returns told so far."""
-        return self._state.bounds()
-
-    @property
-    @_alone
-    def value(self) -> float:
-        """V, performance: on fresh episodes once they were played, else the running estimate.
-
-        -inf before the first row. How sure the running estimate is: `study.routing.value`.
-        """
-        return value_of(self._state)
-
-    @property
-    @_alone
-    def routing(self) -> Routing:
-        """Who serves which context after every training, what that is worth, and how sure.
-
-        Raises:
-            StudyError: no row was told.
-        """
-        return self._state.routing()
-
-    @property
-    @_alone
-    def curve(self) -> Array:
-        """(k,) the running estimate of V after each row, performance."""
-        return self._state.curve()
-
-    @property
-    def is_durable(self) -> bool:
-        """True when the study outlives this process."""
-        return not isinstance(self.log, MemoryLog)
-
-    @property
-    @_alone
-    def stop_reason(self) -> str | None:
-        """Why nothing more can be asked; None while something can."""
-        return ask.stop_reason(self._state)
-
-    @property
-    @_alone
-    def is_finished(self) -> bool:
-        """True when nothing can be asked and nobody works on a pick."""
-        return ask.is_finished(self._state)
-
-    @property
-    @_alone
-    def has_succeeded(self) -> bool:
-        """True when a pick was told; rows that nobody asked for show no training at work."""
-        return any(row.pick is not None for row in self._state.rows)
-
-    @property
-    @_alone
-    def trainings(self) -> Trainings:
-        """What became of each pick, and of rows that nobody asked for, one typed line each."""
-        return trainings_of(self.refresh(), self.watch())
-
-    @property
-    @_alone
-    def orphans(self) -> list[int]:
-        """Numbers of open picks that nobody works on: given back, or their lease is stale."""
-        return ask.left_alone(self._state, self.watch())
-
-    @property
-    def leases(self) -> list[Lease]:
-        """Those in force, as of the last `refresh`: of open picks, and of the one to come."""
-        held = [pick.lease for pick in self._state.open_picks.values()]
-        return [lease for lease in (*held, self._state.proposing) if lease is not None]
-
-    def watch(self) -> Watch:
-        """Which leases are stale now."""
-        return Watch(self.log, self.presence.is_gone)
-
-    @_alone
-    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
-        """The trained policies with their router.
-
-        Args:
-            trainer: reads the saved policies, all of them: give the one that wrote them. None: the
-                study's own, if they are of a format of its own ("custom").
-            trust: without a trainer, also read files that can execute code; set it if the study
-                is your own, or of somebody you trust.
-
-        Raises:
-            StorageError: a policy's folder is not inside the study's, or is reached by a link, or
-                a policy is not the one that was told.
-        """
-        from mbtl.portfolio import Portfolio
-
-        rows, spec = self.refresh().rows, self.spec
-        folders = [
-            self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
-            for r in rows
-        ]
-        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
-        policy_format = str((self.state.equipment or {}).get("policy_format", "custom"))
-        if trainer is None and policy_format == "custom":
-            trainer = self.trainer
-        return Portfolio(
-            self.space,
-            tuple(row.source for row in rows),
-            np.array([row.returns for row in rows]).reshape(-1, self.space.n),
-            self.bounds,
-            episodes=tuple(row.each for row in rows),
-            risk=spec.risk,
-            policy_folders=folders,
-            policy_format=policy_format,
-            load=trainer.load if trainer is not None else None,
-            in_memory=dict(self.policies),
-            sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
-            cmdp=spec.problem or None,
-            metadata={"study": self.name, **made},
-            trust=trust,
-        )
-
-    # ---- asking -------------------------------------------------------------------------------
-
-    @overload
-    def ask(self, n: None = None, *, lease: float | None = None) -> Pick: ...
-
-    @overload
-    def ask(self, n: int, *, lease: float | None = None) -> list[Pick]: ...
-
-    def ask(self, n: int | None = None, *, lease: float | None = None) -> Pick | list[Pick]:
-        """Propose the next training, or the next `n`, and lease them to this worker.
-
-        Each of several is proposed as if those before it had given what is expected of them. A pick
-        that somebody gave back, or whose lease has ended, is handed out again before a new one is
-        proposed.
-
-        Args:
-            n: number of picks, for as many parallel trainings; fewer where fewer are left. None:
-                one pick, not in a list.
-            lease: seconds after which others may take the pick over, unless `heartbeat` is called
-                meanwhile; None: never, until it is told, failed or given back (`release`).
-
-        Raises:
-            StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
-            InvalidInput: n < 1, or a lease that is not > 0.
-        """
-        if lease is not None and not (is_finite(lease) and lease > 0):
-            raise InvalidInput(
-                f"a lease lasts a number of seconds > 0, or None, got {short(lease)}"
-            )
-        if n is None:
-            return self._ask(lease)
-        if whole("the number n of picks", n) < 1:
-            raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
-        picks = [self._ask(lease)]
-        while len(picks) < n:
-            try:
-                picks.append(self._ask(lease))
-            except StudyFinished:
-                break
-        return picks
-
-    def heartbeat(
-        self, pick: Pick, *, steps: float | None = None, value: float | None = None
-    ) -> bool:
-        """Say that a training goes on, and hear whether it should.
-
-        Args:
-            pick: what `ask` gave.
-            steps: environment steps done so far, for people.
-            value: a return on the way, for people.
-
-        Returns:
-            True: go on; the lease begins anew. False: stop, because the pick was given back,
-            answered, or taken over.
-        """
-        held = self.refresh().open_picks.get(pick.number)
-        if held is None or held.lease is None or held.lease.token != pick.token:
-            return False
-        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
-        return True
-
-    def pick(self, number: int) -> Pick:
-        """A pick by its 0-based number, as whoever holds it has it: to answer it elsewhere.
-
-        Raises:
-            StudyError: so many were not asked for.
-        """
-        picks, number = self.refresh().picks, whole("the number of a pick", number)
-        if not 0 <= number < len(picks):
-            raise StudyError(f"pick numbers run from 0 to {len(picks) - 1} so far, got {number}")
-        return self._pick(picks[number])
-
-    def open_picks(self) -> list[Pick]:
-        """The picks that wait for an answer, in order; `state.open_picks` says who holds them."""
-        with self._lock:
-            return [self._pick(record) for _, record in sorted(self.refresh().open_picks.items())]
-
-    def release(self, pick: Pick | int) -> None:
-        """Give a pick back untrained; the next `ask` hands it out again.
-
-        Args:
-            pick: what `ask` gave; or the number of any open pick, whoever holds it: its training
-                is told to stop by its next heartbeat.
-
-        Raises:
-            StudyError: it is not open, or somebody took it over.
-        """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
-        self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
-
-    def release_all(self, worker: str) -> int:
-        """Give back all that a worker holds, if it is known to have ended; how many picks.
-
-        One that has not ended is told to stop by its next heartbeat.
-
-        Raises:
-            StudyError: it holds nothing.
-        """
-        state, holders = self.refresh(), sorted({lease.worker for lease in self.leases})
-        if worker not in holders:
-            who = f"these do: {few(holders, 10)}" if holders else "nobody does"
-            raise StudyError(
-                f"a worker gives back what it holds, and {worker!r} holds nothing; {who}"
-            )
-        numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
-        for number in numbers:
-            self.release(number)
-        if self.state.proposing is not None and self.state.proposing.worker == worker:
-            self._stop_proposing(self.state.proposing.token)
-        return len(numbers)
-
-    # ---- telling ------------------------------------------------------------------------------
-
-    def tell(
-        self,
-        pick: tell.Told,
-        returns: ArrayLike,
-        *,
-        targets: Sequence[int] | None = None,
-        cost: float | None = None,
-        seconds: float | None = None,
-        steps: float | None = None,
-        policy: str | Artifact | None = None,
-        policy_object: Any = None,
-        training_state: Artifact | None = None,
-        evaluation_steps: float | None = None,
-    ) -> bool:
-        """Record the transfer row of one trained policy, or further entries of one.
-
-        Args:
-            pick: what `ask` gave, or the context (or its index) of a policy you already have, or
-                all of them, of one trained on several; rows that nobody asked for do not count
-                towards the budget.
-            returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units. NaN is
-                an episode that has none, and counts as not played.
-            targets: T indices of the contexts evaluated on; None: those that the pick asks for,
-                which are all N unless the study was made with `eval_targets`.
-            cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
-                the source, or 1; 0 for a row that nobody asked for.
-            seconds: wall time of training and evaluation.
-            steps: environment steps of the training; of one that goes on those before it, too.
-            policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
-                with its hash, which is then checked whenever it is read.
-            policy_object: the policy itself, kept in this process only.
-            training_state: saved state of the training, to go on from exactly.
-            evaluation_steps: of the evaluation told here; None: each episode counts as the longest.
-
-        Returns:
-            True: recorded. False: too late, because somebody took the pick over meanwhile; the
-            returns are in the log, and count for nothing.
-
-        Raises:
-            TrainingFailed: returns of wrong shape, all NaN, or beyond 1e30. Nothing is recorded;
-                tell again, or record it with `fail`.
-            InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
-                should be. Nothing is recorded.
-            StudyError: the pick was answered before, or is another study's.
-        """
-        sources = tell.sources_of(self.space, pick)
-        price = finite("cost", cost, 0.0)
-        if targets is None and isinstance(pick, Pick):
-            targets = pick.targets
-        elif targets is None:
-            with self._lock:
-                targets = tell.asked_targets(self.refresh(), sources)
-        evaluated = checked_targets(targets, self.space.n)
-        rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
-        order = np.argsort(evaluated)
-        arrays = {"returns": rows[order]}
-        data: dict[str, Any] = {
-            "sources": list(sources),
-            "targets": None if targets is None else [evaluated[i] for i in order],
-            "episodes": rows.shape[1],
-            "seconds": finite("seconds", seconds, 0.0),
-            "steps": finite("steps", steps, 0.0),
-            "policy": policy.place if isinstance(policy, Artifact) else policy,
-            "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
-            "state": None if training_state is None else training_state.place,
-            "state_sha256": None if training_state is None else training_state.sha256,
-            "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
-        }
-        if isinstance(pick, Pick) and pick.token:
-            data["token"] = pick.token
-        place = 0
-
-        def told(state: StudyState) -> Event:
-            nonlocal place
-            if isinstance(pick, Pick) and tell.is_late(state, pick):
-                return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
-            place = len(state.rows)
-            number = tell.answered(state, pick, sources)
-            expected = 0.0 if number is None else state.usual_cost(state.picks[number])
-            spent = expected if price is None else price
-            made = self._made
-            if made is None and state.equipment is not None:
-                made = recipe_digest(state.equipment)
-            return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
-
-        with self._lock:  # so that no other thread takes a row away meanwhile
-            in_time = self._commit(told).kind == "told"
-            if policy_object is not None and in_time:
-                self.policies[place] = policy_object
-        return in_time
-
-    def evaluation_seeds(
-        self, targets: Iterable[int] | None = None, purpose: Purpose = Purpose.EVALUATION
-    ) -> list[int]:
-        """Seeds to evaluate a policy with, one per target and the same for every policy.
-
-        So policies are compared in the same episodes, while each target has luck of its own, which
-        averages out in V. (`Pick.seed` is for the training alone.)
-
-        Args:
-            targets: indices of contexts, such as `Pick.targets`; None: all N.
-            purpose: another one has other episodes.
-        """
-        checked = checked_targets(None if targets is None else list(targets), self.space.n)
-        return evaluation_seeds(self.spec.seed, self.spec.trial, checked, purpose)
-
-    def void(self, row: ToldRow | int, reason: str) -> None:
-        """Take a wrong row back: it counts for nothing any more, and stays in the log.
-
-        Its pick counts as failed, so `retry` lets it be trained again. It spends budget as before.
-
-        Args:
-            row: one of `state.rows`, or its place there.
-            reason: for people, e.g. "the simulator was misconfigured".
-
-        Raises:
-            StudyError: there is no such row.
-        """
-        rows = self.refresh().rows
-        if not isinstance(row, ToldRow):
-            row = whole("the place of a row", row)
-            if not 0 <= row < len(rows):
-                raise StudyError(f"the places of the {len(rows)} rows count from 0, got {row}")
-            row = rows[row]
-        told = row.event
-
-        def voided(state: StudyState) -> Event:
-            if state.place_of(told) < 0:
-                raise StudyError("that row is not one of this study, or was taken back before")
-            return Event("voided", {"told": told, "reason": reason})
-
-        self._commit(voided)
-
-    def fail(
-        self,
-        pick: Pick,
-        reason: str,
-        *,
-        traceback: str = "",
-        pruned: bool = False,
-        steps: float | None = None,
-        again: bool = False,
-    ) -> bool:
-        """Record that a pick gave no policy; it spends budget and is not proposed again.
-
-        Args:
-            pick: what `ask` gave.
-            reason: why, in one line.
-            traceback: where that came from, for people.
-            pruned: it was ended early on purpose, so nothing went wrong.
-            steps: environment steps that it had; None: not known.
-            again: the next `ask` hands the pick out once more, with another seed, since with its
-                own the training might fail again.
-
-        Returns:
-            False where it came too late; see `tell`.
-        """
-        facts = {"steps": finite("steps", steps, 0.0), "pruned": pruned, "again": again}
-        return self._answer("failed", pick, reason, traceback, **facts)
-
-    def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
-        """Record that a policy is trained and could not be evaluated; the pick stays open."""
-        return self._answer("deferred", pick, reason, traceback)
-
-    def retry(self, pick: Pick | int) -> None:
-        """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
-
-        Its seed is another one, since with its own it might fail again.
-
-        Args:
-            pick: what `ask` gave, or its 0-based number (`Pick.number`).
-
-        Raises:
-            StudyError: that pick did not fail, or its source was told since.
-        """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
-        self._commit(lambda state: tell.reopening(state, pick))
-
-    def equip(self, trainer: Trainer, *, accept_changes: bool = False) -> None:
-        """Record what the policies of this study are made with, or check that it is the same.
-
-        Args:
-            trainer: makes them.
-            accept_changes: a user's own functions may have changed since; the log says so then.
-
-        Raises:
-            StudyMismatch: policies were made with another recipe, format or code before.
-        """
-        code, state = code_of(trainer), self.refresh()
-        given, known = equipment_of(trainer), state.equipment or {}
-        given |= {"code": code} if code or "code" in known else {}
-        given["abilities"] = sorted(set(ABILITIES) & trainer.takes)
-        self._made = recipe_digest(given)
-        if known == given:
-            return
-        begun, changes = self.has_succeeded or bool(state.deferred), list[str]()
-        if begun and known:
-            own: dict[str, Any] = {"code": None, "abilities": None}
-            if found := first_difference({**known, **own}, {**given, **own}):
-                key, was, now = found
-                raise StudyMismatch(
-                    f"the policies of a study are made with one recipe: {key} was {was!r}, got "
-                    f"{now!r}; use the same trainer, or start another study (--new, or another "
-                    "name)"
-                )
-            if self.has_succeeded and "code" in known:  # what only failed may be mended
-                changes = changed_code(known["code"], code)
-            if changes and not accept_changes:
-                raise code_mismatch(changes)
-        facts = {**given, **({"accepted": changes} if changes else {})}
-        self._commit(lambda _: Event("equipped", facts))
-        if not begun:
-            self.untold.clear()  # of another recipe
-
-    def extend(self, budget: int | Steps) -> None:
-        """Raise the budget to so many trainings, or steps, in all, for a few more picks.
-
-        Raises:
-            InvalidInput: it is not larger than now, or asks a selector for more trainings than
-                there are contexts.
-        """
-        in_steps = isinstance(budget, Steps)
-        wanted = budget.total if isinstance(budget, Steps) else whole("budget", budget)
-
-        def extended(state: StudyState) -> Event:
-            spec = state.spec
-            now = spec.budget if spec.steps is None else spec.steps
-            most = math.inf if spec.any_training else spec.space.n  # trainings
-            known = in_steps == (spec.steps is not None)
-            if not known or wanted <= now or (wanted > most and not in_steps):
-                what = "trainings" if spec.steps is None else "steps"
-                raise InvalidInput(
-                    f"a budget can only be raised, and counts what it counted before, from {now} "
-                    f"{what} (a selector's up to one on each of {spec.space.n} contexts), got "
-                    f"{wanted} {'steps' if in_steps else 'trainings'}"
-                )
-            if not in_steps:
-                return Event("extended", {"budget": wanted})
-            more = max(wanted // (spec.unit or wanted), spec.budget)
-            return Event("extended", {"budget": int(min(more, most)), "steps": wanted})
-
-        self._commit(extended)
-
-    def record_fresh_returns(
-        self, served: ArrayLike, alone: ArrayLike, *, best_single: int, rows: int | None = None
-    ) -> None:
-        """Record returns on fresh evaluation seeds.
-
-        Args:
-            served: (N, E) of the policies that serve, raw units; NaN where a context was not
-                played, as `mbtl.study.closing_report` draws them.
-            alone: (N, E) of the best single policy, on the same episodes.
-            best_single: its place among the rows.
-            rows: how many rows these are the routes of; None: those there are.
-
-        Raises:
-            StudyError: of another shape, or rows were told since, which the report would not fit.
-        """
-        arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
-        rows = len(self.refresh().rows) if rows is None else rows
-
-        def reported(state: StudyState) -> Event:
-            shapes = [array.shape for array in arrays.values()]
-            n, told = self.space.n, len(state.rows)
-            if told != rows or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != n:
-                raise StudyError(
-                    f"fresh returns must have shape ({n}, episodes) and be of the {told} policies "
-                    f"told, got {shapes} of {rows}; evaluate again"
-                )
-            data = {"episodes": shapes[0][1], "best_single": int(best_single)}
-            return Event("reported", data, arrays)
-
-        self._commit(reported)
-
     def run(
         self,
         train: Callable[..., Any] | None = None,
@@ -730,7 +160,7 @@ class Study:
         progress: bool = True,
         report: bool | Literal["all"] = True,
     ) -> RunResult:
-        """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
+        """Train and evaluate until the study is finished; see `mbtl.study.study.run`.
 
         A callback ends the run by `study.stop`, and a training early by raising `TrainingPruned`.
 
@@ -755,9 +185,6 @@ class Study:
             StudyMismatch: the study was run with another recipe, policy format or code before;
                 `equip(trainer, accept_changes=True)` accepts other code.
         """
-        from mbtl.study.callbacks import PrintProgress
-        from mbtl.study.runner import Failures, Workers, run
-
         if (train is not None or evaluate is not None) and trainer is not None:
             raise InvalidInput("run takes functions or a trainer, got both; leave one out")
         trainer = self.trainer if trainer is None and train is None else trainer
@@ -774,186 +201,474 @@ class Study:
             report=report,
         )
 
-    def stop(self, reason: str = "it was stopped") -> None:
-        """End the run of this object that goes on, from a callback or another thread.
 
-        What is under way is finished and told; no more is asked for. The study itself is not
-        finished: the next `run` goes on.
+@dataclass(frozen=True, eq=False, repr=False)
+class RunResult:
+    """A study when a run of it has ended.
 
-        Args:
-            reason: for people.
-        """
-        self.stopping = reason
+    Attributes:
+        study: that was run.
+        curve: (k,) the running estimate of V after each row, performance.
+        fresh: V on fresh episodes, which chose nothing: the one to tell people; None: not measured.
+        trainings: all of the study, those of earlier runs too.
+        failures: of the study, those of trainings ended early on purpose too.
+        stop_reason: why no more is trained; None: others are still at it.
+        seconds: wall time of this run.
+    """
 
-    # ---- inside -------------------------------------------------------------------------------
+    study: Study
+    curve: Array
+    fresh: FreshValue | None
+    trainings: Trainings
+    failures: tuple[Failure, ...]
+    stop_reason: str | None
+    seconds: float
 
-    def _ask(self, lease: float | None) -> Pick:
-        turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
-        watch, watched = self.watch(), time.monotonic()
+    @property
+    def value(self) -> float:
+        """V at the end, as `Study.value`: fresh if played, else the running estimate."""
+        if self.fresh is not None:
+            return self.fresh.value
+        return float(self.curve[-1]) if len(self.curve) else float("-inf")
 
-        def wanted(state: StudyState) -> Event | None:
-            return ask.claim(state, watch, lease, self.worker)
+    def portfolio(self) -> Portfolio:
+        """The trained policies with their router; see `Study.portfolio`."""
+        return self.study.portfolio()
 
-        while True:
-            if time.monotonic() - watched > _WATCH:
-                watch, watched = self.watch(), time.monotonic()
-            try:
-                with self._lock:
-                    claim = self._attempt(wanted)
-                    following = len(self._state.picks)
-            except Conflict:
-                retry.wait()
-                continue
-            if claim is None:  # somebody proposes just now
-                turn.wait()
-                continue
-            if claim.kind == "released":
-                continue
-            number = claim.data["pick"]
-            if number == following and not self._propose(claim.data["token"], lease):
-                continue
-            given = self._pick(self._state.picks[number])
-            if given.token == claim.data["token"]:
-                return given
-
-    def _propose(self, token: str, lease: float | None) -> bool:
-        """Find and record the source of the next pick; False where somebody else has done so.
-
-        Raises:
-            StudyFinished: there is none, or it would not be worth it.
-        """
-        done = False
-        try:
-            while not done:
-                with self._lock:
-                    state = self.refresh()
-                    if state.proposing is None or state.proposing.token != token:
-                        return False
-                    known = len(state.rows), len(state.failures)
-                    moment = state.copied()
-                found = ask.propose(moment, self.selector)  # others may tell meanwhile
-                holder = {"worker": self.worker, "token": token, "seconds": lease}
-
-                def settled(
-                    now: StudyState, found: Any = found, known: Any = known, holder: Any = holder
-                ) -> Event | None:
-                    if now.proposing is None or now.proposing.token != token:
-                        return None
-                    news = known != (len(now.rows), len(now.failures))
-                    if isinstance(found, str):  # with news, the prediction did not know of them
-                        return None if news else Event("stopped", {"reason": found})
-                    if news and not ask.is_open(now, found):
-                        return None
-                    return Event("asked", {**found, **holder})
-
-                done = self._commit(settled) is not None
-                if done and isinstance(found, str):
-                    raise StudyFinished(f"the study is finished: {found}")
-        finally:
-            if not done:
-                self._stop_proposing(token)
-        return True
-
-    def _stop_proposing(self, token: str) -> None:
-        """Let the next asker propose at once, whatever has happened here."""
-
-        def released(state: StudyState) -> Event | None:
-            mine = state.proposing is not None and state.proposing.token == token
-            return Event("released", {"pick": len(state.picks)}) if mine else None
-
-        with contextlib.suppress(StorageError):  # it ends by the clock, too
-            self._commit(released)
-
-    def _pick(self, record: PickRecord) -> Pick:
-        return Pick(
-            record.number,
-            record.source,
-            self.space.context(record.source),
-            self._state.seed_of(record),
-            record.reason,
-            record.targets,
-            record.sources,
-            tuple(self.space.context(source) for source in record.sources),
-            record.start,
-            record.done,
-            None if record.whole else record.length,
-            record.tokens[-1] if record.tokens else "",
+    def __repr__(self) -> str:
+        where = "on fresh episodes" if self.fresh is not None else "estimated"
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return (
+            f"RunResult({self.study.name!r}: {len(self.curve)} trainings told{failed}, "
+            f"V = {self.value:.4f} {where}, {self.seconds:.1f} s; {self.stop_reason})"
         )
 
-    def _commit(self, decide: Callable[[StudyState], Decided]) -> Decided:
-        """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
-        turn = _Turn(_LONGEST_COMMIT)
-        while True:
-            try:
-                return self._attempt(decide)
-            except Conflict:
-                turn.wait()
 
-    def _attempt(self, decide: Callable[[StudyState], Decided]) -> Decided:
-        """Append what `decide` makes of the newest state, which no other thread changes meanwhile.
+class Callback:
+    """Base with methods that do nothing.
 
-        Returns:
-            The event; None where there is nothing to append.
+    `study.stop(reason)` in any of them ends the run when what is under way is told; raising
+    `TrainingPruned` in `on_progress` ends that training alone. Other exceptions end the run at
+    once, and nothing is lost.
+    """
 
-        Raises:
-            Conflict: another process was faster.
+    def on_shared(self, study: Study, others: Sequence[str]) -> None:
+        """The run begins while other processes work on the same study; they share its picks."""
+
+    def on_note(self, study: Study, words: str) -> None:
+        """A sentence that people should read."""
+
+    def on_pick(self, study: Study, pick: Pick) -> None:
+        """A pick was asked for and its training starts."""
+
+    def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
+        """A training reports; only trainings in this process do."""
+
+    def on_evaluation(self, study: Study, pick: Pick) -> None:
+        """Training is done, evaluation on all contexts starts."""
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """The row of a pick was recorded."""
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training failed, or a trained policy could not be evaluated; it was recorded."""
+
+    def on_pruned(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training was ended early on purpose; who does not tell it apart hears of a failure."""
+        self.on_failed(study, pick, reason)
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        """A pick was taken over or taken away; its training counts for nothing."""
+
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training did not end at its time limit, and counts as failed. From another thread.
+
+        This process can do nothing more until its native code returns: what is worth having is to
+        be saved here, or the process ended.
         """
-        with self._lock:
-            event = decide(self.refresh())
-            if event is None:
-                return event
-            with self._turn() as queued:
-                if queued and (event := decide(self.refresh())) is None:
-                    return event
-                check_event(event, self._state)
-                before = self._holder(event)
-                self.log.append(event, after=self._state.seq)
-                self.refresh()
-            if before is not None:
-                self.presence.succeed(before, self.leases)
-            return event
 
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[bool]:
-        """True where others were faster lately, so that this one waits for its turn to write."""
-        queued = self._queued > 0
-        self._queued -= queued
-        try:
-            with self.log.turn() if queued else contextlib.nullcontext():
-                yield queued
-        except Conflict:
-            self._queued = _QUEUED
+    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
+        """Nothing is left to do but what others are at; the run waits for them, or does it."""
+
+    def on_report(self, study: Study, plan: ReportPlan) -> None:
+        """The policies are now evaluated on fresh seeds, as often as the plan says."""
+
+    def on_report_failed(self, study: Study, reason: str) -> None:
+        """That evaluation failed; V on fresh episodes stays unknown."""
+
+    def on_end(self, study: Study) -> None:
+        """The run ends, also by an interrupt."""
+
+
+class PrintProgress(Callback):
+    """A line per pick, for people.
+
+    `pick 3 of 5: gravity = 7.5 m/s2, V = 0.8312 +- 0.0140, estimated (gain 0.0210)`
+
+    Args:
+        file: to print to; None: standard error, as it is at that moment.
+    """
+
+    def __init__(self, file: TextIO | None = None) -> None:
+        self._file = file
+
+    def on_shared(self, study: Study, others: Sequence[str]) -> None:
+        """Who else works here."""
+        self._say(shared_words(others), style="yellow")
+
+    def on_note(self, study: Study, words: str) -> None:
+        """The sentence."""
+        self._say(words)
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """V, and what the new policy added to it."""
+        curve = study.curve
+        gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
+        self._say(f"{study.state.where(pick)}, {estimate(study)}{gain}", pick)
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why there is no V."""
+        self._say(f"{study.state.where(pick)} failed: {reason}", pick, "red")
+
+    def on_pruned(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why there is no V, and that it is meant so."""
+        self._say(f"{study.state.where(pick)} was ended early: {reason}", pick, "yellow")
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        """That the work was for nothing."""
+        self._say(f"{study.state.where(pick)} was taken over by somebody else", pick, "yellow")
+
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why nothing happens, and what helps."""
+        self._say(
+            f"{study.state.where(pick)} failed: {reason}; end this process and run again to go on: "
+            "worker processes (Workers(2)) would be killed"
+        )
+
+    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
+        """Why nothing happens."""
+        self._say(waiting_words(study, others))
+
+    def on_report(self, study: Study, plan: ReportPlan) -> None:
+        """How much is evaluated."""
+        self._say(f"measuring V on fresh episodes: {plan}")
+
+    def on_report_failed(self, study: Study, reason: str) -> None:
+        """Why V stays an estimate."""
+        self._say(f"V on fresh episodes could not be measured: {reason}", style="red")
+
+    def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
+        """One line; of a pick that has ended, where it says so."""
+        say(line, sys.stderr if self._file is None else self._file)
+
+
+def estimate(study: Study) -> str:
+    """V while a study runs, in words, with half its 95 % interval: "V = 0.8312 +- 0.0140"."""
+    now = study.routing.value
+    bar = f" +- {now.margin:.4f}" if now.margin > 0.0 else ""
+    return f"V = {now.value:.4f}{bar}, estimated"
+
+
+def shared_words(others: Sequence[str]) -> str:
+    """That other workers are at a study, in a sentence."""
+    works = "works" if len(others) == 1 else "work"
+    return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
+
+
+def waiting_words(study: Study, others: Sequence[str]) -> str:
+    """What a run waits for, and how not to wait for a worker of whose end nobody would know."""
+    said = f"waiting for the last trainings of {', '.join(others)}"
+    unknown = [one for one in others if not study.presence.is_known(one)]
+    if not unknown:
+        return said
+    return (
+        f"{said}; if {unknown[0]} has ended, `mbtl study release {place_words(study)} {unknown[0]}`"
+        " hands them out at once, and else its silence is waited for"
+    )
+
+
+def place_words(study: Study) -> str:
+    """What names a stored study on the command line."""
+    url = getattr(study.log, "url", "")
+    file = database_file(url)
+    if file is None:
+        return f"{shlex.quote(shown(url))} --name {shlex.quote(study.name)}"
+    return shlex.quote(str(file.parent if file.name == "study.db" else file))
+
+
+# ---- a run ------------------------------------------------------------------------------------
+
+
+def run(
+    study: Study,
+    trainer: Trainer,
+    *,
+    workers: Workers = Workers(),
+    failures: Failures = Failures(),
+    callbacks: Sequence[Callback] = (),
+    report: bool | Literal["all"] = True,
+    accept_changes: bool = False,
+    may_begin: Callable[[], bool] | None = None,
+    wait: bool = True,
+) -> RunResult:
+    """Run a study to its end; interrupted, it goes on where it was when called again.
+
+    A policy that is trained and could not be evaluated is kept: it spends no further budget, and
+    the evaluation is done again when all else is done, and by the next run.
+
+    Args:
+        study: decides what to train.
+        trainer: trains, evaluates, saves and loads.
+        workers: where, and how long at most.
+        failures: what to do about them.
+        callbacks: told what happens.
+        report: evaluate the routed policies on fresh seeds at the end: on as many contexts as cost
+            no more than the study itself, or on "all". Not of a study with a risk.
+        accept_changes: a user's own functions may have changed since the study was begun; the log
+            says so then.
+        may_begin: asked before each training; once it says no, the run ends.
+        wait: stay while others are at the last trainings, to take over from those that die.
+
+    Returns:
+        The study at its end, and why it ended.
+
+    Raises:
+        TrainingFailed: failures ended the run, or no training succeeded.
+    """
+    started, study.stopping = time.monotonic(), None
+    may_begin = may_begin or (lambda: True)
+
+    def announce(method: str, *facts: Any) -> None:
+        for callback in callbacks:
+            getattr(callback, method)(study, *facts)
+
+    try:
+        with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
+            if pooled is not None:
+                _check_can_travel(pooled, trainer)
+            _warn_of_unsaved(study, trainer)
+            _announce_others(study, announce)
+            again = failures.retry_failed
+            if study.state.equipment is not None or again or not study.is_finished:
+                study.equip(trainer, accept_changes=accept_changes)
+            for failed in list(study.refresh().failures) if again else []:
+                if not failed.pruned:
+                    study.retry(failed.pick)
+            if not study.state.rows and (words := few_episodes(study.state, trainer)):
+                announce("on_note", words)
+            finished = study.stop_reason is not None and not study.orphans
+            first_policy = failures.rehearse and not (study.has_succeeded or finished)
+            if first_policy and isinstance(trainer, RehearsingTrainer):
+                _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
+                first_policy = False
+            batches = Batches(
+                study, trainer, pooled, failures.most_in_a_row - 1, first_policy, announce, keeper,
+                workers.timeout, failures.retries,
+            )  # fmt: skip
+            ask = partial(_next_pick, study, keeper, may_begin)
+            do_all = partial(batches.do, workers.parallel, ask, together=workers.deterministic)
+            try:
+                do_all()
+                while wait and _wait_for_others(study, announce, may_begin):
+                    do_all()
+                if batches.give_back_held():
+                    do_all()
+            finally:
+                batches.give_back_held()
+        _check_any_success(study)
+        if report and (plan := plan_to_do(study.state, study.policies, whole=report == "all")):
+            _report(study, trainer, plan, announce, workers.timeout)
+    finally:
+        announce("on_end")
+    return RunResult(
+        study,
+        study.curve,
+        fresh_value(study.state) if study.state.rows else None,
+        study.trainings,
+        tuple(study.state.failures),
+        study.stopping or study.stop_reason,
+        time.monotonic() - started,
+    )
+
+
+@contextmanager
+def _pool(workers: Workers) -> Iterator[Executor | None]:
+    """Where jobs run; None: in this process."""
+    if workers.parallel == 1:
+        yield None
+    elif workers.executor is not None:
+        yield workers.executor
+    else:
+        with separate_workers(workers.parallel) as pool:
+            yield pool
+
+
+def _check_any_success(study: Study) -> None:
+    failures = [failure for failure in study.state.failures if not failure.pruned]
+    if failures and not study.state.rows:
+        raise TrainingFailed(
+            f"no training of this study succeeded, {len(failures)} failed, the last with "
+            f"{failures[-1].reason}; mend the cause and run again with "
+            "Failures(retry_failed=True) (--retry-failed)"
+        )
+
+
+def _rehearse(
+    study: Study, rehearsal: Callable[..., Trouble | None], executor: Executor | None
+) -> None:
+    """Find out before the first training what would fail after it."""
+    ends = sorted({0, study.space.n - 1})
+    contexts, seeds = [study.space.context(i) for i in ends], study.evaluation_seeds(ends)
+    if executor is None:
+        trouble = rehearsal(contexts, seeds)
+    else:
+        trouble = brought_back(executor.submit(rehearsal, contexts, seeds))
+    if trouble is None:
+        return
+    if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
+        raise trouble.error
+    if isinstance(trouble.error, MbtlError):  # it says all; where it was raised says nothing more
+        cause = trouble.error.__cause__
+        raise TrainingFailed(f"{trouble.error}; nothing was trained") from cause
+    raise failure(
+        f"{trouble.stage} of an untrained policy failed with {trouble.reason}, so nothing was "
+        "trained: mend the cause and run again; Failures(rehearse=False) "
+        "(--no-rehearsal) skips this trial",
+        trouble,
+    )
+
+
+def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> Pick | None:
+    """A pick that is held from now on; None when nothing can be asked, or shall be."""
+    if study.stopping is not None or not may_begin():
+        return None
+    try:
+        pick = study.ask(lease=keeper.seconds)
+    except StudyFinished:
+        return None
+    keeper.hold(pick)
+    return pick
+
+
+def _wait_for_others(
+    study: Study, announce: Callable[..., None], may_begin: Callable[[], bool]
+) -> bool:
+    """Wait for a change while others hold what is left; False when there is nothing to wait for.
+
+    One of them may die, and its training is then to be done here.
+    """
+    seq, left, announced = study.refresh().seq, study.orphans, False
+    pause = _LOOK
+    while seq == study.refresh().seq and study.orphans == left:
+        theirs = ask.others(study.state, study.watch(), study.worker, for_ever=False)
+        if not theirs or study.stopping is not None or not may_begin():
+            return False
+        if not announced:
+            announced = True
+            announce("on_waiting", theirs)
+        time.sleep(pause * random.uniform(0.5, 1.0))
+        pause = min(1.5 * pause, _LONGEST_LOOK)
+    return True
+
+
+def _report(
+    study: Study,
+    trainer: Trainer,
+    plan: ReportPlan,
+    announce: Callable[..., None],
+    timeout: float | None,
+) -> None:
+    """Measure V on fresh episodes; a failure there must not hide what the study found."""
+    failed = partial(announce, "on_report_failed")
+    announce("on_report", plan)
+    told = len(study.state.rows)
+    stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
+    try:
+        _play(study, trainer, plan, timeout, stuck)
+    except StorageError:
+        if len(study.refresh().rows) == told:
             raise
-
-    def _holder(self, event: Event) -> str | None:
-        """Name of the worker whose pick an event gives to somebody else; None: nobody's."""
-        if event.kind not in ("claimed", "released"):
-            return None
-        held = self._state.open_picks.get(event.data["pick"])
-        lease = self._state.proposing if held is None else held.lease
-        return None if lease is None else lease.worker
-
-    def _answer(
-        self, kind: Kind, pick: Pick, reason: str, traceback: str, **facts: float | None
-    ) -> bool:
-        data: dict[str, Any] = {"reason": reason, "traceback": traceback, **facts}
-        if pick.token:
-            data["token"] = pick.token
-
-        def answered(state: StudyState) -> Event:
-            if tell.is_late(state, pick):
-                return Event("late", {**data, "pick": pick.number, "outcome": kind})
-            return Event(kind, {**data, "pick": tell.open_number(state, pick)})
-
-        return self._commit(answered).kind == kind
+    except StudyError:  # another process told a row meanwhile; it reports when it ends
+        return
+    except FAULTS as error:
+        failed(reason_of(error))
 
 
-class _Turn:
-    """Waits for a moment, and for longer each time."""
+def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
+    """Before the first training: what is stored should not outlive its policies unnoticed.
 
-    def __init__(self, longest: float) -> None:
-        self._pause, self._longest = _PAUSE, longest
+    Raises:
+        StorageError: they cannot be written where they are to be kept.
+    """
+    saves = getattr(trainer, "saves", True)
+    if study.is_finished:
+        return
+    if saves and study.artifacts is not None:
+        study.artifacts.check()
+    if not study.is_durable:
+        return
+    if not saves:
+        fix = "give save and load functions, or make the study without storage"
+    elif study.artifacts is None:
+        fix = "its database is no file, so give artifacts=<a folder or URL> where the study is made"
+    else:
+        return
+    words = f"this study is stored, but its policies will be in memory only: {fix}"
+    _logger.warning("%s", words)
+    warnings.warn(words, UnsavedPolicies, stacklevel=4)
 
-    def wait(self) -> None:
-        time.sleep(self._pause * random.random())
-        self._pause = min(2 * self._pause, self._longest)
+
+def _announce_others(study: Study, announce: Callable[..., None]) -> None:
+    """A second process joins on purpose or by mistake; people should know which."""
+    others = ask.others(study.refresh(), study.watch(), study.worker)
+    if not others:
+        return
+    _logger.warning("%s", shared_words(others))
+    announce("on_shared", others)
+
+
+def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
+    if isinstance(executor, (ProcessPoolExecutor, SeparateWorkers)):
+        try:
+            pickle.dumps(trainer)
+        except Exception as error:
+            raise InvalidInput(
+                "training in other processes needs functions of a module that they can import, got "
+                f"one that cannot be sent ({error}); move it to a module, or use Workers(1)"
+            ) from error
+
+
+def _play(
+    study: Study,
+    trainer: Trainer,
+    plan: ReportPlan,
+    timeout: float | None = None,
+    on_stuck: Callable[[], None] | None = None,
+) -> None:
+    """Evaluate what the plan says on fresh seeds, and record it.
+
+    Args:
+        study: that the plan is of.
+        trainer: reads and evaluates the policies.
+        plan: see `plan_of`.
+        timeout: seconds for each policy; None: no limit.
+        on_stuck: see `mbtl.study.time_limits.at_most`.
+    """
+    rows, portfolio = len(study.state.rows), study.portfolio(trainer)
+    found: dict[int, Array] = {}
+    for i in plan.policies:
+        targets = plan.targets(i)
+        contexts = [study.space.context(int(t)) for t in targets]
+        seeds = study.evaluation_seeds(targets, Purpose.REPORT)
+        with at_most(timeout, on_stuck):
+            returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
+        named = study.space.named(targets)
+        found[i] = completed(checked_returns(returns, targets.size, named))
+    episodes = min(returns.shape[1] for returns in found.values())
+    served, alone = np.full((2, study.space.n, episodes), np.nan)
+    alone[plan.contexts] = found[plan.best_single][:, :episodes]
+    for i, returns in found.items():
+        targets = plan.targets(i)
+        mine = plan.route[targets] == i
+        served[targets[mine]] = returns[mine, :episodes]
+    study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
