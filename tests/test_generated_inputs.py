@@ -219,7 +219,7 @@ def test_matrices_and_comparisons(data):
 
 OPTIONS = (
     "--json", "--help", "--name", "--budget", "--seeds", "--matrix", "--selectors", "--bounds",
-    "--seed", "--study", "--risk", "--costs", "--out", "--variant", "--nope", "-x",
+    "--seed", "--study", "--risk", "--out", "--variant", "--nope", "-x",
 )  # fmt: skip
 COMMANDS = (
     ("study", "list"), ("study", "show"), ("study", "export"), ("cmdps",), ("matrix", "show"),

@@ -97,7 +97,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     assert code == 0, err
     assert helped[0][1] == 0, helped
     assert "mbtl worker shared.db quick.py:problem --name mine" in err
-    assert [f"pick {k}, " in err for k in (1, 2, 3)] == [True] * 3  # however quick they were
+    assert "done, V = " in err
     assert (place / "mine" / "portfolio").is_dir()
     assert mbtl.load_study(place / "shared.db").state.fresh is not None
     code, _, err = mbtl_command(

@@ -144,14 +144,6 @@ def test_a_folder_without_a_database_names_the_studies_below(tmp_path):
         mbtl.load_study(tmp_path)
 
 
-def test_a_larger_budget_is_known_to_be_raised(tmp_path):
-    study_at(tmp_path, "one")
-    study = study_at(tmp_path, "one", budget=4, load_if_exists=True)
-    assert (study.spec.budget, study.state.first_budget) == (4, 2)
-    study.extend(5)
-    assert mbtl.load_study(tmp_path).state.first_budget == 2
-
-
 def test_a_study_is_deleted_with_its_policies_unless_somebody_runs_it(tmp_path):
     kept, gone = study_at(tmp_path, "kept"), study_at(tmp_path, "gone")
     for study in (kept, gone):

@@ -11,10 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, option, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
@@ -29,7 +27,6 @@ from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
 from mbtl.study import (
     Callback,
-    Cost,
     Evaluation,
     Failures,
     Steps,
@@ -84,8 +81,6 @@ def run(
     ] = None,
     score: Annotated[str | None, _recipe("Of traffic: paper, or the CMDP's own.")] = None,
     risk: Annotated[float, _stop("V: mean of this worst share of contexts.")] = 1.0,
-    cost_budget: Annotated[float | None, _stop("What all trainings may cost.")] = None,
-    costs: Annotated[Path | None, _stop("Text file: cost of each context.")] = None,
     stop_value: Annotated[float | None, _stop("End when V reaches this.")] = None,
     whole_budget: Annotated[bool, _stop("End only when all is spent.", "--all")] = False,
     no_report: Annotated[bool, _stop("No fresh episodes at the end.", "--no-report")] = False,
@@ -111,7 +106,12 @@ def run(
     The paper's run: mbtl run cartpole-length --preset paper --strategy mbtl
     On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies
     """  # noqa: D301 - the command line's own mark of lines that stay
-    pay = budget_of(budget, steps, cost_budget, costs)
+    if steps is not None and budget is not None:
+        raise InvalidInput(
+            "a study pays in environment steps (--steps) or in trainings (--budget), got both; "
+            "leave one out"
+        )
+    pay = budget if steps is None else Steps(steps_of(steps))
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     get_strategy(strategy)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
@@ -199,28 +199,6 @@ _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e\d+)?)\s*([kmg]?)", re.IGNORECASE)
 _SIZES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
 
 
-def budget_of(
-    trainings: int | None, steps: str | None, cost: float | None, costs: Path | None
-) -> int | Steps | Cost | None:
-    """What the study may spend, as the options say it.
-
-    Raises:
-        InvalidInput: in two ways at once, or costs without their budget.
-    """
-    if steps is not None:
-        if trainings is not None or cost is not None or costs is not None:
-            raise InvalidInput(
-                "a study pays in environment steps (--steps), in trainings (--budget) or by a cost "
-                "(--cost-budget), got --steps and another one; leave that out"
-            )
-        return Steps(steps_of(steps))
-    if cost is not None:
-        return Cost(cost, None if costs is None else _numbers(costs), trainings)
-    if costs is not None:
-        raise InvalidInput("--costs says what trainings cost; say how much they may, --cost-budget")
-    return trainings
-
-
 def steps_of(text: str) -> int:
     """Environment steps as people write them: 300K, 20M, 1.5e6.
 
@@ -237,17 +215,6 @@ def steps_of(text: str) -> int:
     return number
 
 
-def _numbers(file: Path) -> Array:
-    """The numbers of a text file, in the order of the contexts."""
-    try:
-        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise InvalidInput(
-            "--costs takes a text file of numbers, one per context, with spaces or new lines "
-            f"between them, got {file}: {error}"
-        ) from error
-
-
 def _announce(study: Study, folder: Path) -> None:
     spec = study.spec
     budget = f"K = {spec.budget}" if spec.steps is None else f"{counted(spec.steps)} steps"
@@ -256,9 +223,7 @@ def _announce(study: Study, folder: Path) -> None:
         if study.state.rows and not study.is_finished
         else ""
     )
-    first = study.state.first_budget
-    raised = "" if first is None or spec.steps is not None else f" (raised from {first})"
-    console.say(f"{spec.problem}: {study.space!r}, {budget}{raised}, study in {folder}{going_on}")
+    console.say(f"{spec.problem}: {study.space!r}, {budget}, study in {folder}{going_on}")
 
 
 def _finish(

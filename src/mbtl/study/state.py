@@ -52,8 +52,6 @@ class StudyState:
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies, and own code; None: not known so far."""
     stopped: str | None = None
-    first_budget: int | None = None
-    """Before the budget was raised; None: it never was."""
     _history: History | None = field(default=None, repr=False)
     _routing: Routing | None = field(default=None, repr=False)
     _routing_seq: int = field(default=-1, repr=False)
@@ -369,7 +367,6 @@ class StudyState:
         self.stopped = None  # another trainer may be able to do more
 
     def _extended(self, event: Event) -> None:
-        self.first_budget = self.first_budget or self.spec.budget
         steps = event.data.get("steps", self.spec.steps)
         self.spec = replace(self.spec, budget=event.data["budget"], steps=steps)
         self.stopped = None
