@@ -32,11 +32,12 @@ def test_what_a_library_left_behind_is_ended_though_it_would_not():
     deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(1, flush=True)\n"
     code = (
         "import subprocess, sys\n"
-        "from mbtl.processes import end_children\n"
+        "from mbtl import processes\n"
+        "processes._MOMENT = 0.2\n"
         f"child = subprocess.Popen([sys.executable, '-c', {deaf + 'input()'!r}],\n"
         "                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
         "child.stdout.readline()\n"
-        "end_children()\n"
+        "processes.end_children()\n"
         "print(child.wait())\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,7 +14,7 @@ NEEDS = {
     "traffic": OURS + r"(?:ring|ramp|eco|signal)-|netgenerate|mbtl\.cmdps\.traffic|play runs/ring",
     "plots": r"mbtl report|mbtl\.plot\.|--film",
     "frames": r"\.to_frame\(",
-    "cluster": r"postgresql|submitit|dask",
+    "cluster": r"postgresql|dask",
 }
 INSTALL = re.compile(r"pip install '(?:mbtl|\.)\[([a-z,]+)\]'")
 TEXTS = (ROOT / "README.md", *ROOT.glob("docs/*.md"))

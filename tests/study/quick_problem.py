@@ -6,7 +6,7 @@ import mbtl
 from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
-STEPS = 40
+STEPS = 20
 
 
 def rollout(gains, mass, starts):

@@ -147,14 +147,18 @@ def used(study):
 # ---- strangers --------------------------------------------------------------------------------
 
 
-def test_a_path_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp_path):
-    log = events(study)
-    out = ["/etc", "../secret", "policies/../../secret", "C:\\x", "..\\x", ".ssh", "a/.ssh", "", 3]
-    for policy in out:
-        told(log)["data"]["policy"] = policy
-        written(tmp_path, log)
-        with pytest.raises(StorageError, match=r"event 4 \(told\) .*`policy` must be a folder in"):
-            mbtl.load_study(tmp_path)
+def test_a_name_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp_path):
+    policies = ["/etc", "../secret", "policies/../../secret", "C:\\x", ".ssh", "a/.ssh", "", 3]
+    for place, name, wrong, words in (
+        (3, "policy", policies, r"event 4 \(told\) .*`policy` must be a folder in"),
+        (0, "uid", ("../..", "a/b", "", "x" * 65, None), r"event 1 \(created\) .*`uid` must be"),
+    ):
+        for value in wrong:
+            log = events(study)
+            log[place]["data"][name] = value
+            with pytest.raises(StorageError, match=words):
+                mbtl.load_study(written(tmp_path, log))
+    written(tmp_path, events(study))
     with pytest.raises(InvalidInput, match="`policy` must be a folder inside the study's own"):
         study.tell(3, np.zeros(6), policy="/etc")
     assert len(study.refresh().rows) == 2
@@ -188,15 +192,6 @@ def test_a_run_writes_no_policies_through_a_link(tmp_path):
     assert not study.refresh().failures
 
 
-def test_a_uid_that_is_no_name_of_a_folder_is_refused(study, tmp_path):
-    log = events(study)
-    for uid in ("../..", "a/b", "", "x" * 65, None):
-        log[0]["data"]["uid"] = uid
-        written(tmp_path, log)
-        with pytest.raises(StorageError, match=r"event 1 \(created\) .*`uid` must be"):
-            mbtl.load_study(tmp_path)
-
-
 # ---- damage -----------------------------------------------------------------------------------
 
 
@@ -216,7 +211,7 @@ def test_any_damage_to_the_facts_gets_a_sentence(which, request):
             raise
         used(opened)
 
-    assert refusals(attempt, 120) > 36
+    assert refusals(attempt, 80) > 24
     assert set(refused) == {e["kind"] for e in whole}
     assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
@@ -225,7 +220,7 @@ def test_no_flipped_bit_loads(study, tmp_path):
     rng, place = random.Random(0), written(tmp_path, events(study))
     with sqlite3.connect(place / "study.db") as base:
         whole = base.execute("SELECT seq, kind, data, arrays FROM mbtl_events").fetchall()
-        for _ in range(40):
+        for _ in range(20):
             seq, *entry = rng.choice(whole)
             column = rng.choice([i for i, value in enumerate(entry) if value])
             value = entry[column]
@@ -276,7 +271,7 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
             return
         used(mbtl.load_study(tmp_path))
 
-    assert refusals(attempt, 40) > 20
+    assert refusals(attempt, 24) > 12
 
 
 def test_a_training_that_cannot_be_is_refused(any_training):
@@ -318,14 +313,14 @@ def test_a_long_chain_of_trainings_is_read(any_training):
         for kind in ("created", "asked", "told")
     )
     log = [begun]
-    for i in range(1_100):
+    for i in range(1_001):
         start = len(log) if i else None
         facts = {"pick": i, "start": start, "length": 1.0 + i, "token": f"t{i}"}
         log.append({**asked, "data": {**asked["data"], **facts}})
         log.append({**answer, "data": {**answer["data"], "pick": i, "token": f"t{i}"}})
     study = read(log)
-    assert study.pick(1_099).seed == study.pick(0).seed
-    assert study.pick(1_099).done == 1_099.0
+    assert study.pick(1_000).seed == study.pick(0).seed
+    assert study.pick(1_000).done == 1_000.0
     seeds = [training_seed(0, 0, range(6), lineage=lineage) for lineage in ((), (1, 2, 3))]
     assert study.pick(0).seed == seeds[0] != seeds[1]
 
@@ -357,7 +352,9 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
     assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
     assert study.spec.direction == "maximize"
-    with pytest.raises(InvalidInput, match="seconds must be finite, from 0"):
-        study.tell(study.ask(), np.zeros(6), seconds=np.nan)
+    for fact, wrong in (("seconds", np.nan), ("steps", -5), ("cost", -5)):
+        with pytest.raises(InvalidInput, match=rf"{fact} must be finite, from 0 to 1e\+30, got"):
+            study.tell(study.ask(), np.zeros(6), **{fact: wrong})
+        study.release(len(study.state.picks) - 1)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])

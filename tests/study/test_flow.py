@@ -298,7 +298,7 @@ def test_tries_sets_and_lineages_never_share_a_seed():
     assert training_seed(0, 0, [4]) == training_seed(0, 0, 4)
 
 
-@pytest.mark.parametrize(("parallel", "code"), [(1, 0), (2, 1), (1, None), (2, "goodbye")])
+@pytest.mark.parametrize(("parallel", "code"), [(1, 0), (2, "goodbye")])
 def test_a_training_that_exits_has_failed(parallel, code):
     def exiting(context, seed):
         if context["x"] == SPACE.context(WRONG)["x"]:
@@ -328,11 +328,18 @@ PROGRAM = Path(__file__).parents[2] / "benchmarks" / "kills.py"
 
 
 @pytest.mark.timeout(1800)  # as all others have, on a machine however busy
-@pytest.mark.parametrize("database", ["sqlite", pytest.param("postgresql", marks=pytest.mark.long)])
-def test_kills_lose_nothing_tell_nothing_twice_and_every_study_ends(database):
+@pytest.mark.parametrize(
+    ("database", "studies"),
+    [
+        ("sqlite", "steps"),
+        pytest.param("sqlite", "trainings,units", marks=pytest.mark.long),
+        pytest.param("postgresql", "trainings,steps", marks=pytest.mark.long),
+    ],
+)
+def test_kills_lose_nothing_tell_nothing_twice_and_every_study_ends(database, studies):
     if database == "postgresql" and (reason := missing()):
         pytest.skip(reason)
-    options = f"--kills 3 --studies trainings,steps --databases {database}".split()
+    options = f"--kills 3 --studies {studies} --databases {database}".split()
     done = subprocess.run([sys.executable, PROGRAM, *options], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "3 kills" in done.stdout

@@ -332,7 +332,7 @@ def test_what_a_worker_holds_that_nobody_surely_knows_to_be_gone_is_given_back_b
 
 # ---- many threads, and other processes ----------------------------------------------------------
 
-MANY, THREADS = 24, 8
+MANY, THREADS = 12, 6
 WIDE = line(MANY)
 
 
@@ -347,7 +347,7 @@ def storage(request, tmp_path):
     return None if request.param == "memory" else tmp_path / "study.db"
 
 
-def test_one_study_that_eight_threads_ask_tell_and_read_misses_no_row(storage, request):
+def test_one_study_that_many_threads_ask_tell_and_read_misses_no_row(storage, request):
     study = created(
         WIDE, budget=MANY, bounds=(0.0, 1.0), strategy="random", storage=storage,
         name=request.node.name,

@@ -37,7 +37,7 @@ class TestPostgres(EventLogContract):
         return SqlLog(postgres, name, create=True)
 
 
-@pytest.mark.parametrize("workers", [12, pytest.param(64, marks=pytest.mark.long)])
+@pytest.mark.parametrize("workers", [6, pytest.param(64, marks=pytest.mark.long)])
 def test_many_workers_never_share_a_pick(postgres, name, workers):
     """Each has a connection of its own, and they all begin at once, with the tables to be made."""
     settings = {
@@ -116,7 +116,9 @@ def test_a_server_whose_clock_shows_no_date_is_refused_before_anything_is_writte
     admin.dispose()
 
 
-@pytest.mark.parametrize("how", [signal.SIGQUIT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGQUIT, marks=pytest.mark.long)]
+)
 def test_a_restart_of_the_server_costs_a_study_nothing(server, name, how, caplog):
     study = created(
         SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, strategy="random"

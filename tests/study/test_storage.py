@@ -79,6 +79,7 @@ def test_a_full_disk_loses_nothing_that_was_told(tmp_path):
         ({"name": ""}, "got 0"),
         ({"name": "a\x1b[31mb"}, "printable"),
         ({"storage": "n" * 256}, "got 256"),
+        ({"storage": ":memory:"}, "leave it out"),
         ({"storage": "caf\udce9/s.db"}, "written in UTF-8"),
         ({"artifacts": "caf\udce9"}, "written in UTF-8"),
         ({"artifacts": "n" * 300}, "got 300"),
