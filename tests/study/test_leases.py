@@ -161,7 +161,7 @@ def test_heartbeats_keep_a_lease_and_carry_how_far_it_is(place, clock):
     other.refresh()
     for step in range(5):
         clock.now += 20.0
-        assert study.heartbeat(pick, steps=step, value=0.5)
+        assert study.heartbeat(pick, steps=step)
         assert other.orphans == []
     assert other.log.beats()[pick.token].steps == 4
     clock.now += 31.0

@@ -198,14 +198,14 @@ class RemoteStore:
 
     def read(self, place: str, sha256: str | None = None) -> Path:
         """A copy that lives as long as this process, fetched once."""
-        folder = inside(_copies(self.url), place, "a study")
+        folder = inside(scratch(self.url), place, "a study")
         if folder.is_dir():
             return folder
         record = self.receipt(place)
         names = record.get("files") if record else None
         if not isinstance(names, list):
             return folder
-        with tempfile.TemporaryDirectory(dir=_copies(self.url)) as here:
+        with tempfile.TemporaryDirectory(dir=scratch(self.url)) as here:
             with self._remote() as (files, root):
                 for name in names:
                     target = inside(Path(here), name, "a study")
@@ -307,8 +307,8 @@ def _record(content: bytes) -> Mapping[str, Any] | None:
 
 
 @cache
-def _copies(url: str) -> Path:
-    """Of one store; removed when this process ends."""
+def scratch(of: str) -> Path:
+    """A folder for copies of one store, or for what none keeps; removed when this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="mbtl-artifacts-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

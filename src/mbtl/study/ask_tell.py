@@ -353,15 +353,12 @@ class AskTell:
                 break
         return picks
 
-    def heartbeat(
-        self, pick: Pick, *, steps: float | None = None, value: float | None = None
-    ) -> bool:
+    def heartbeat(self, pick: Pick, *, steps: float | None = None) -> bool:
         """Say that a training goes on, and hear whether it should.
 
         Args:
             pick: what `ask` gave.
             steps: environment steps done so far, for people.
-            value: a return on the way, for people.
 
         Returns:
             True: go on; the lease begins anew. False: stop, because the pick was given back,
@@ -370,7 +367,7 @@ class AskTell:
         held = self.refresh().open_picks.get(pick.number)
         if held is None or held.lease is None or held.lease.token != pick.token:
             return False
-        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
+        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps)
         return True
 
     def pick(self, number: int) -> Pick:

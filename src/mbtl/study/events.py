@@ -58,9 +58,7 @@ class Beat:
     Attributes:
         expires: seconds since the epoch, by the clock of the database.
         steps: environment steps done; None: not said.
-        value: a return on the way; None: not said.
     """
 
     expires: float
     steps: float | None = None
-    value: float | None = None

@@ -93,10 +93,5 @@ class Keeper:
             alive = [pick for pick in self._held.values() if pick.token not in self._lost]
         for pick in alive:
             said = self._said.get(pick.token)
-            returns = [] if said is None else [v for k, v in said.metrics.items() if "return" in k]
-            self._log.beat(
-                pick.token,
-                self.seconds,
-                steps=None if said is None else float(said.step),
-                value=float(returns[0]) if returns else None,
-            )
+            steps = None if said is None else float(said.step)
+            self._log.beat(pick.token, self.seconds, steps=steps)

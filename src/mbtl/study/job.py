@@ -6,7 +6,6 @@ training, its policy is found by whoever does the job next, and nothing is train
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import shutil
 import tempfile
@@ -14,7 +13,7 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +23,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingPruned
 from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
-from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
+from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore, scratch
 from mbtl.study.time_limits import at_most
 from mbtl.trainers.contract import (
     CountingTrainer,
@@ -184,14 +183,14 @@ def perform(
                 stage = "loading"
                 kept = Kept(_begun_with(job), Artifact("", ""))
             if kept is None and (found := _left(job)) is not None:
-                stage, kept = "loading", Kept(None, found)
-                kept = _found(job, found)
+                stage, kept = "loading", Kept(None, found[1])
+                kept = _found(job, *found)
             if kept is None:
                 kept = _trained(job, steps)
                 on_kept(kept)
             if kept.artifact is None:
                 stage = "saving"
-                kept = replace(kept, state=_save_state(job))
+                kept = replace(kept, state=_save_state(job) or kept.state)
                 kept = replace(kept, artifact=_save(job, kept))
                 on_kept(kept)
                 _forget_partial(job)
@@ -288,30 +287,11 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     return checked, steps if steps == steps else None
 
 
-def _left(job: Job) -> Artifact | None:
-    """The policy of this very training, by somebody who was ended after it.
-
-    One that waits in a spool is brought to the store.
-
-    Raises:
-        StorageError: it is there, and the store still cannot be written.
-    """
-    if job.store is None:
-        return None
-    if (found := _left_in(job.store, job)) is not None:
-        return found
-    for spool in job.spools:
-        if (waiting := _left_in(spool, job)) is None:
-            continue
-        folder = spool.read(waiting.place)
-        try:
-            kept = job.store.write(
-                job.place, partial(_copied, folder), dict(spool.receipt(waiting.place) or {})
-            )
-        except (StorageError, OSError) as error:
-            raise _unsaved(job, error, folder) from error
-        spool.remove(waiting.place)
-        return kept
+def _left(job: Job) -> tuple[ArtifactStore, Artifact] | None:
+    """Where the policy of this very training is, by somebody who was ended after it."""
+    for store in () if job.store is None else (job.store, *job.spools):
+        if (found := _left_in(store, job)) is not None:
+            return store, found
     return None
 
 
@@ -340,14 +320,16 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _found(job: Job, artifact: Artifact) -> Kept:
-    """What a former worker has left: the policy, and what its receipt says of the training."""
-    assert job.store is not None
-    receipt = job.store.receipt(artifact.place) or {}
+def _found(job: Job, store: ArtifactStore, artifact: Artifact) -> Kept:
+    """What a former worker has left: the policy, and what its receipt says of the training.
+
+    One that waits in a spool is still to be saved.
+    """
+    receipt = store.receipt(artifact.place) or {}
     state = receipt.get("state")
     return Kept(
-        job.trainer.load(_folder(job, artifact)),
-        artifact,
+        job.trainer.load(store.read(artifact.place, artifact.sha256)),
+        artifact if store is job.store else None,
         receipt.get("steps"),
         Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
     )
@@ -451,20 +433,12 @@ def _partials(job: Job) -> list[Path]:
         return []
     made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
     places = [f"{place}.{made}" for place in reversed(job.places)]
-    return [store.partial(place) or _scratch() / place.replace("/", "-") for place in places]
+    return [store.partial(place) or scratch("states") / place.replace("/", "-") for place in places]
 
 
 def _states(job: Job) -> ArtifactStore:
     """What keeps the states of trainings; of a study in memory a folder of this process."""
-    return FolderStore(_scratch()) if job.store is None else job.store
-
-
-@cache
-def _scratch() -> Path:
-    """Of this process, for what no store keeps."""
-    folder = Path(tempfile.mkdtemp(prefix="mbtl-state-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
+    return FolderStore(scratch("states")) if job.store is None else job.store
 
 
 def _forget_partial(job: Job) -> None:
@@ -485,7 +459,15 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     try:
         safe = job.store.write(job.place, fill, receipt)
     except (StorageError, OSError) as error:
-        raise _unsaved(job, error, _spooled(job, fill, receipt)) from error
+        waits = _spooled(job, fill, receipt)
+        then = (
+            f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
+        )
+        why = getattr(error, "strerror", None) or error
+        raise StorageError(
+            f"the policy could not be saved in {job.place} ({why}); {then}: free space or mend "
+            "access, then run the same command again"
+        ) from error
     except NOT_THE_TRAININGS_FAULT:
         raise
     except FAULTS as error:
@@ -495,7 +477,8 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
             "process would train it again"
         ) from error
     for spool in job.spools:
-        spool.remove(job.place)
+        for place in job.places:
+            spool.remove(place)
     return safe
 
 
@@ -504,18 +487,7 @@ def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any])
     for spool in job.spools:
         with contextlib.suppress(Exception):  # the next one may do
             if spool.write(job.place, fill, receipt) is not None:
+                for place in job.places[:-1]:  # where it has waited before
+                    spool.remove(place)
                 return spool.read(job.place)
     return None
-
-
-def _copied(source: Path, folder: Path) -> bool:
-    shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(RECEIPT))
-    return True
-
-
-def _unsaved(job: Job, error: Exception, waits: Path | None) -> StorageError:
-    kept = f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
-    return StorageError(
-        f"the policy could not be saved in {job.place} ({getattr(error, 'strerror', None) or error}"
-        f"); {kept}: free space or mend access, then run the same command again"
-    )

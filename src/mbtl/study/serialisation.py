@@ -24,8 +24,10 @@ def describe_selector(selector: Selector, named: str | Selector | None = None) -
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            changed = {f.name: _changed(value, f) for f in dataclasses.fields(value)}
-            return {name: plain(v) for name, v in changed.items() if v is not _KEPT}
+            held = {
+                f.name: (getattr(value, f.name), _default(f)) for f in dataclasses.fields(value)
+            }
+            return {name: plain(given) for name, (given, usual) in held.items() if given != usual}
         if isinstance(value, (list, tuple)):
             return [plain(item) for item in value]
         return described(value)
@@ -66,16 +68,10 @@ def code_mismatch(changes: Sequence[str]) -> StudyMismatch:
     )
 
 
-_KEPT = object()
-
-
-def _changed(value: Any, field: dataclasses.Field[Any]) -> Any:
-    """The value of a field, or `_KEPT` where it is the default.
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """What a field has where nothing is given; equal to nothing where it must be.
 
     Only changes are stored, so a selector may gain a setting and old studies still open.
     """
-    given = getattr(value, field.name)
-    default = field.default
-    if default is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
-        default = field.default_factory()
-    return _KEPT if default is not dataclasses.MISSING and given == default else given
+    made = field.default_factory
+    return field.default if made is dataclasses.MISSING else made()

@@ -75,9 +75,7 @@ class EventLog(Protocol):
         """Seconds since the epoch, by the one clock that also stamps the events."""
         ...
 
-    def beat(
-        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
-    ) -> None:
+    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
         """The holder of a lease lives, and will be heard of again within so many seconds."""
         ...
 
@@ -116,11 +114,9 @@ class MemoryLog:
         """This process's clock."""
         return time.time()
 
-    def beat(
-        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
-    ) -> None:
+    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
         """Keep the last one of each lease."""
-        self._beats[token] = Beat(time.time() + seconds, steps, value)
+        self._beats[token] = Beat(time.time() + seconds, steps)
 
     def beats(self) -> Mapping[str, Beat]:
         """The last heartbeats."""
@@ -224,14 +220,12 @@ class SqlLog:
         """The server's clock; of a file, this machine's."""
         return self._do(self._now)
 
-    def beat(
-        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
-    ) -> None:
+    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
         """Write the row of this lease; see `EventLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
-        facts = {"expires": clock(self._engine) + seconds, "steps": steps, "value": value}
+        facts = {"expires": clock(self._engine) + seconds, "steps": steps}
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: sa.Connection) -> None:
@@ -247,7 +241,7 @@ class SqlLog:
         t = self._heartbeats
 
         def fetch(connection: sa.Connection) -> dict[str, Beat]:
-            columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
+            columns = (t.c.token, t.c.expires, t.c.steps)
             rows = connection.execute(sa.select(*columns).where(t.c.study == self.study))
             return {token: Beat(*facts) for token, *facts in rows}
 

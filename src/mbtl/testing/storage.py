@@ -35,12 +35,11 @@ class EventLogContract:
         assert dict(log.beats()) == {}
         log.append(Event("created", {}), after=0)
         log.beat("a", 5.0)
-        log.beat("b", 5.0, steps=3, value=-1.5)
+        log.beat("b", 5.0, steps=3)
         log.beat("a", 50.0, steps=4)
         now, beats = log.now(), log.beats()
         assert set(beats) == {"a", "b"}
-        assert (beats["a"].steps, beats["a"].value) == (4, None)
-        assert (beats["b"].steps, beats["b"].value) == (3, -1.5)
+        assert (beats["a"].steps, beats["b"].steps) == (4, 3)
         assert beats["a"].expires > beats["b"].expires > log.read()[0].time
         assert now - 10.0 < beats["a"].expires - 50.0 <= now
 
