@@ -148,9 +148,7 @@ def _described(value: Any, inside: Inside) -> Any:  # noqa: C901  # one line per
         return _function(value, inside, whole=True)
     if callable(getattr(value, "__wrapped__", None)):
         return inner(value.__wrapped__)
-    if isinstance(value, types.ModuleType):
-        return value.__name__
-    if isinstance(value, (types.BuiltinFunctionType, np.ufunc)):
+    if isinstance(value, (types.ModuleType, types.BuiltinFunctionType, np.ufunc)):
         return value.__name__
     return {"class": type(value).__qualname__, **_parts(value, inside)}
 
@@ -219,7 +217,7 @@ def _code(value: Any, inside: Inside) -> dict[str, Any]:
 def _code_now(value: Any, inside: Inside) -> dict[str, Any]:
     """`_code`, as the value is at this moment."""
     if isinstance(value, types.FunctionType):
-        return _function(value, inside) if _is_own(value.__code__) else {}
+        return _function(value, inside) if _is_own_file(value.__code__.co_filename) else {}
     if isinstance(value, type):
         used: dict[str, Any] = {}
         return {"code": _class(value, used), **used} if _is_own_class(value) else {}
@@ -254,7 +252,7 @@ def _function(
         whole: with objects that it holds; else with plain values and functions only.
     """
     code, held, captured = function.__code__, dict[str, Any](), set(function.__code__.co_freevars)
-    if own := _is_own(code):
+    if own := _is_own_file(code.co_filename):
         defaults = function.__defaults__ or ()
         last = code.co_varnames[: code.co_argcount][-len(defaults) :] if defaults else ()
         held = dict(zip(last, defaults, strict=True)) | (function.__kwdefaults__ or {})
@@ -265,7 +263,7 @@ def _function(
     found: dict[str, Any] = {"function": f"{function.__module__}.{function.__qualname__}"}
     if own:
         found = {"code": digest(code)}
-        _follow([code], function.__globals__, function.__module__, uses)
+        _follow(code, function.__globals__, function.__module__, uses)
     for name, value in held.items():
         if whole:
             found[name] = _described(value, inside)
@@ -280,23 +278,20 @@ def _function(
     return {**uses, **found} if used is None else found
 
 
-def _follow(
-    codes: Iterable[types.CodeType], module: dict[str, Any], name: str, used: dict[str, Any]
-) -> None:
+def _follow(code: types.CodeType, module: dict[str, Any], name: str, used: dict[str, Any]) -> None:
     """Add what code uses of its module to `used`: functions, classes, and plain values."""
     looked_up, stored = set(), set()
-    for one in codes:
-        for inner in _nested(one):
-            for step in dis.get_instructions(inner):
-                if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
-                    looked_up.add(str(step.argval))
-                elif step.opname in ("STORE_GLOBAL", "DELETE_GLOBAL"):
-                    stored.add(str(step.argval))
+    for inner in _nested(code):
+        for step in dis.get_instructions(inner):
+            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                looked_up.add(str(step.argval))
+            elif step.opname in ("STORE_GLOBAL", "DELETE_GLOBAL"):
+                stored.add(str(step.argval))
     for global_ in sorted(looked_up - stored - set(used)):
         value = module.get(global_)
         value = getattr(value, "__wrapped__", value)
         if isinstance(value, types.FunctionType):
-            if value.__globals__ is module and _is_own(value.__code__):
+            if value.__globals__ is module and _is_own_file(value.__code__.co_filename):
                 used[global_] = ""  # it may use itself
                 parts = _function(value, (id(value),), used)
                 used[global_] = parts["code"] if len(parts) == 1 else parts
@@ -313,16 +308,13 @@ def _class(value: type, used: dict[str, Any]) -> str:
     if not _is_own_class(value):
         return value.__qualname__
     parts: dict[str, Any] = {}
-    codes = []
     for name, one in vars(value).items():
         one = getattr(one, "__func__", getattr(one, "fget", getattr(one, "__wrapped__", one)))
         if isinstance(one, types.FunctionType):
             parts[name] = digest(one.__code__)
-            codes.append((one.__code__, one.__globals__))
+            _follow(one.__code__, one.__globals__, value.__module__, used)
         elif not name.startswith("__") and _is_plain(one):
             parts[name] = _plain(one)
-    for code, module in codes:
-        _follow([code], module, value.__module__, used)
     for base in value.__bases__:
         if base.__qualname__ not in used:
             parts[f"base {base.__qualname__}"] = _class(base, used)
@@ -404,13 +396,9 @@ def _plain(value: Any) -> Any:
     return described(value)
 
 
-def _is_own(code: types.CodeType) -> bool:
-    """Whether code is a user's: neither ours, nor Python's, nor of an installed package."""
-    return _is_own_file(code.co_filename)
-
-
 @functools.cache
 def _is_own_file(name: str) -> bool:
+    """Whether code is a user's: neither ours, nor Python's, nor of an installed package."""
     if name.startswith("<frozen"):
         return False
     path = Path(name)

@@ -305,10 +305,9 @@ def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
 def _check_same(state: StudyState, given: StudySpec) -> None:
     """Refuse other settings; the budget may be larger, which extends the study."""
     stored = state.spec
-    assert stored is not None
     now = replace(
         given,
-        budget=min(given.budget, stored.budget) if given.budget >= stored.budget else given.budget,
+        budget=min(given.budget, stored.budget),
         steps=stored.steps if (given.steps or 0) >= (stored.steps or 0) else given.steps,
     )
     was, now_record = (
