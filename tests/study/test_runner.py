@@ -313,6 +313,8 @@ def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger():
         (lambda: SPACE.encode(7.3), "a context is a mapping"),
         (lambda: new(None).tell("p", np.zeros(15)), "tell takes what ask gave"),
         (lambda: new(None).tell(0, np.zeros(15) + 1j), "real numbers"),
+        (lambda: new(None).tell({"mass": 9.0}, np.zeros(15)), r"\[0\.2, 4\]"),
+        (lambda: new(None).tell(15, np.zeros(15)), "0 to 14"),
     ],
 )
 def test_wrong_types_get_the_rule_not_pythons_own_words(wrong, words):

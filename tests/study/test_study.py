@@ -72,16 +72,6 @@ def test_a_budget_of_trainings_or_of_cost_ends_the_study():
         study.ask()
 
 
-def test_a_returned_pick_is_handed_out_again_before_a_new_one():
-    study = new()
-    first, second = study.ask(), study.ask()
-    study.release(first)
-    again = study.ask()
-    assert (again.number, again.source) == (first.number, first.source)
-    study.tell(second, row(second.source))
-    study.tell(again, row(again.source))
-
-
 def test_policies_a_user_already_has_are_free_and_are_used():
     study = new(budget=2)
     study.tell({"x": 0.0}, row(0))
@@ -217,13 +207,6 @@ def test_a_selector_of_one_axis_refuses_others_before_there_is_a_database(tmp_pa
         with pytest.raises(InvalidInput, match=f"on one numeric axis, got {words}; choose"):
             created(space, budget=2, strategy=selector, storage=tmp_path / "s.db")
     assert not (tmp_path / "s.db").exists()
-
-
-def test_a_context_outside_the_space_is_refused():
-    with pytest.raises(InvalidInput, match=r"\[0, 1\]"):
-        new().tell({"x": 1.5}, np.zeros(N))
-    with pytest.raises(InvalidInput, match="0 to 19"):
-        new().tell(20, np.zeros(N))
 
 
 # ---- what real studies need --------------------------------------------------------------------

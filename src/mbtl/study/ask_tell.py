@@ -346,11 +346,9 @@ class AskTell:
         if whole("the number n of picks", n) < 1:
             raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
         picks = [self._ask(lease)]
-        while len(picks) < n:
-            try:
+        with contextlib.suppress(StudyFinished):
+            while len(picks) < n:
                 picks.append(self._ask(lease))
-            except StudyFinished:
-                break
         return picks
 
     def heartbeat(self, pick: Pick, *, steps: float | None = None) -> bool:

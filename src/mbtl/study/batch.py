@@ -484,7 +484,7 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     """The error that ends a run, with where the trouble came from."""
     error = TrainingFailed(message)
     error.__cause__ = trouble.error
-    if trouble.error is None:  # it stayed in another process
+    if trouble.error is None or trouble.error.__traceback__ is None:  # of another process
         error.add_note(trouble.traceback)
     return error
 

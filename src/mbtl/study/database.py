@@ -245,17 +245,11 @@ def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Ta
         if create:
             table.create(connection, checkfirst=True)
             heartbeats.create(connection, checkfirst=True)
-        _check_table(connection, table, url)
+        if not sa.inspect(connection).has_table(table.name):
+            raise StorageError(
+                f"{shown(url)} is a database without mbtl studies; give the path of a study"
+            )
     return engine, table, heartbeats
-
-
-def _check_table(connection: sa.Connection, table: sa.Table, url: str) -> None:
-    import sqlalchemy as sa
-
-    if not sa.inspect(connection).has_table(table.name):
-        raise StorageError(
-            f"{shown(url)} is a database without mbtl studies; give the path of a study"
-        )
 
 
 @contextmanager

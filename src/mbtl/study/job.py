@@ -235,14 +235,11 @@ class _Steps:
             self._tell(progress)
 
 
-def perform_elsewhere(
-    job: Job,
-    travel: tuple[type[Exception], ...] = (*NOT_THE_TRAININGS_FAULT, TrainingPruned),
-) -> Outcome | Trouble:
+def perform_elsewhere(job: Job) -> Outcome | Trouble:
     """As `perform`, for a worker process: what it gives back can travel, whatever was raised."""
     outcome = perform(job)
     if isinstance(outcome, Trouble):
-        if not isinstance(outcome.error, travel):
+        if not isinstance(outcome.error, MbtlError):
             outcome = replace(outcome, error=None)
         if outcome.kept is not None and outcome.kept.artifact is not None:
             outcome = replace(outcome, kept=replace(outcome.kept, policy=None))
@@ -270,7 +267,7 @@ def rehearse(
             trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)),
             places=["policies/a/trial"], rehearse=True, timeout=timeout, untrained=True,
         )  # fmt: skip
-        outcome = perform_elsewhere(job, (MbtlError,))
+        outcome = perform_elsewhere(job)
     return None if isinstance(outcome, Outcome) else outcome
 
 

@@ -54,9 +54,6 @@ class StudyState:
     stopped: str | None = None
     _history: History | None = field(default=None, repr=False)
     _routing: Routing | None = field(default=None, repr=False)
-    _routing_seq: int = field(default=-1, repr=False)
-    _rows_seq: int = field(default=0, repr=False)
-    """Number of the last event that changed the rows, or how they count."""
     lost_steps: float = 0.0
     """Environment steps of trainings that gave nothing, each try of them."""
     evaluation_steps: float = 0.0
@@ -73,8 +70,6 @@ class StudyState:
         getattr(self, f"_{event.kind}")(event)
         self._history = None
         self.seq = event.seq
-        if event.kind in ("created", "told", "voided"):
-            self._rows_seq = event.seq
         if event.kind in ("created", "voided"):
             self._forget()
 
@@ -109,7 +104,7 @@ class StudyState:
         """
         if not self.rows:
             raise StudyError("routes need the row of at least one policy, and none was told")
-        if self._routing is None or self._routing_seq != self._rows_seq:
+        if self._routing is None or len(self._routing) != len(self.rows):
             spec, history = self.spec, self.history()
             self._routing = Routing(
                 spec.space,
@@ -119,7 +114,6 @@ class StudyState:
                 risk=spec.risk,
                 earlier=self._routing,
             )
-            self._routing_seq = self._rows_seq
         return self._routing
 
     def value(self) -> float:
