@@ -29,6 +29,16 @@ def test_a_log_hears_of_a_long_training_now_and_then(monkeypatch):
     assert "episodes" not in told(monkeypatch, 3600.0)
 
 
+def test_a_training_that_is_begun_again_has_one_bar():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+    study = mbtl.create_study(space, budget=2, strategy="specialists")
+    with LiveProgress(study, Console(file=io.StringIO())) as live:
+        live.on_pick(study, pick := study.ask())
+        study.fail(pick, "diverged", again=True)
+        live.on_pick(study, study.ask())
+        assert len(live._bars.tasks) == 2  # the study's, too
+
+
 def test_a_document_is_alone_on_standard_output_whatever_simulators_print():
     code = (
         "import os, subprocess, sys\n"
