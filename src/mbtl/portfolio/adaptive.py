@@ -18,16 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import Context
+from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
-
-if TYPE_CHECKING:
-    from mbtl.portfolio.portfolio import Portfolio
+from mbtl.objective import Bounds
+from mbtl.routing import Routing
 
 _ODD = 0.01
 """Chance that a return has nothing to do with what is believed of it: e."""
@@ -42,6 +41,31 @@ _AHEAD = 3
 _NODES = np.array([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
 _WEIGHTS = np.array([1.0, 4.0, 1.0]) / 6.0
 """Gauss-Hermite quadrature of a normal return."""
+
+
+class Serving(Protocol):
+    """What is played, and what is believed of it: a `Portfolio`, which is below this module."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def space(self) -> ContextSpace:
+        """The listed contexts."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """Normalisation of the returns."""
+
+    @property
+    def episodes(self) -> Sequence[Array]:
+        """K arrays (N, E_i), the returns of single episodes."""
+
+    @property
+    def routing(self) -> Routing:
+        """What each policy is believed to return where."""
+
+    def policy(self, i: int) -> Any:
+        """The policy at a position."""
 
 
 @dataclass
@@ -60,7 +84,7 @@ class Adaptive:
         played: policies and raw returns so far.
     """
 
-    portfolio: Portfolio
+    portfolio: Serving
     episodes: int = 10
     forget: float = 0.0
     chances: Array = field(init=False)
