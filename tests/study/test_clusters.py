@@ -1,7 +1,9 @@
-"""An engine of others, run for real: Dask with a worker that is killed."""
+"""Engines of others, run for real: Dask with a worker that is killed, and submitit's executor."""
 
 import os
 import signal
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),
 ]
+PROGRAM = "from mbtl.cli import program; program()"
 
 
 @pytest.fixture(autouse=True)
@@ -59,3 +62,30 @@ def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path)
     assert sorted(row.pick for row in rows) == list(range(6))
     assert not study.state.failures
     assert study.portfolio(trainer).policy_for({"mass": 1.0}).shape == (2,)
+
+
+PROBLEM = """
+import mbtl, quick_problem as quick
+problem = mbtl.CMDP.from_functions('quick', quick.SPACE, train=quick.train, budget=6,
+    evaluate=quick.evaluate, save=quick.save, load=quick.load, bounds=(-20.0, 0.0))
+"""
+
+
+def test_submitit_starts_workers_and_they_end_the_study(tmp_path, monkeypatch):
+    submitit = pytest.importorskip("submitit")
+    (tmp_path / "mine.py").write_text(PROBLEM)
+    monkeypatch.chdir(tmp_path)
+    study = created(
+        quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db",
+        problem="quick", settings={"switches": {}},
+    )  # fmt: skip
+    command = ["worker", "study.db", "mine.py:problem", "--json"]
+    work = submitit.helpers.CommandFunction([sys.executable, "-c", PROGRAM, *command])
+    executor = submitit.LocalExecutor(folder=tmp_path / "logs")
+    jobs = [executor.submit(work) for _ in range(2)]
+    while not all(job.done() for job in jobs):
+        time.sleep(0.05)
+    assert all('"finished": true' in job.result() for job in jobs)
+    rows = study.refresh().rows
+    assert sorted(row.pick for row in rows) == list(range(6))
+    assert study.is_finished
