@@ -186,6 +186,7 @@ def test_selectors_for_one_axis_are_left_out_by_default_and_refused_by_name():
         ([], {}, InvalidInput, "one or more selectors"),
         ("random", {}, InvalidInput, "list of names"),
         (["random", "random"], {}, InvalidInput, "twice"),
+        (["auto"], {}, InvalidInput, "asks for trainings of every kind; replay it"),
         (["random"], {"budget": 0}, InvalidInput, "budget"),
         (["random"], {"budget": 101}, InvalidInput, "'synthetic:linear-gap'.*budget"),
         (["random"], {"seeds": 0}, InvalidInput, "seeds"),

@@ -20,6 +20,7 @@ from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
 from mbtl.selectors.contract import LearnedSelector, Selector, traits_of
 from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.strategies import get_strategy
 from mbtl.zoo.benchmark.base import RowSource, measured_curve
 from mbtl.zoo.benchmark.comparison import Comparison, Run, summarise
 from mbtl.zoo.benchmark.oracle import Reference, reference
@@ -164,6 +165,11 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
     entrants: dict[str, Selector | None] = {}
     for given in selectors:
         selector = None if given == ORACLE else _selector(given)
+        if selector is not None and traits_of(selector).any_training:
+            raise InvalidInput(
+                f"a matrix holds specialists alone, and {selector.name!r} asks for trainings of "
+                "every kind; replay it on transfer data (docs/own-selector.md)"
+            )
         name = ORACLE if selector is None else selector.name
         if name in entrants:
             raise InvalidInput(f"selectors must have distinct names, got {name!r} twice")
@@ -175,7 +181,7 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
 
 def _selector(given: str | Selector) -> Selector:
     try:
-        return get_selector(given)
+        return get_strategy(given)
     except UnknownName:
         if ":" in str(given):  # of a user's own, whose names are not ours
             raise

@@ -29,6 +29,7 @@ _HEADS = {
     "mbtl": "MBTL",
     "sequential_oracle": "Seq.or.",
     "oracle_transfer": "Oracle",
+    "one_policy": "Multi, K",
 }
 _OUT = Path("runs/reproduction")
 
