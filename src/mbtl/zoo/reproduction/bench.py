@@ -328,11 +328,14 @@ class Bench:
         """Replays of all that are available, in the paper's order."""
         return {id: self.case(id) for id in self.available(prefix)}
 
-    def signature(self, prefixes: Sequence[str] = ("",), variants: Iterable[str] = ()) -> str:
-        """Changes if anything does that results on these CMDPs depend on."""
+    def signature(
+        self, prefixes: Sequence[str] = ("",), variants: Iterable[str] = (), *, code: bool = True
+    ) -> str:
+        """Changes if anything does that results on these CMDPs depend on; or their data alone."""
         ids = [id for id in self.ids if id.startswith(tuple(prefixes))]
         names = [matrix_id(id, v) for id in ids for v in (self.setting.variant, *variants)]
-        parts = [__version__, _code(), str(self.setting.budget), self.setting.variant, *ids]
+        parts = [__version__, _code()] if code else []
+        parts += [str(self.setting.budget), self.setting.variant, *ids]
         parts += [self.fingerprint(name) for name in names]
         for place in (self._baselines, self._place / FOLDER):
             parts += [_hash(sorted(place.glob(f"{id}-*.npz"))) for id in ids]

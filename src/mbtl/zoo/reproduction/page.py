@@ -164,7 +164,7 @@ def write_page(
         "## The 22 lines of the paper's tables",
         RULE,
         _rows(numbers["main-table"]),
-        *[f"![{text}]({_IMAGES}/{stem}.png)\n\n*{text}.*" for stem, text in _SHOWN
+        *[f"**{text}.**\n\n![]({_IMAGES}/{stem}.png)" for stem, text in _SHOWN
           if (pictures / f"{stem}.png").is_file()],
         "## The tables",
         *(_included(out, f"{TABLES}/01-main-table-{name}.md")
@@ -174,16 +174,15 @@ def write_page(
         "## What is missing",
         _missing(outcomes),
         "## Made from",
-        f"`{COMMAND}`. A test compares these marks of the files with those that are shipped.",
-        made_from(bench),
+        f"`{COMMAND}`. A test compares the mark of the files with those that are shipped: "
+        f"`{made_from(bench)}`.",
     ]  # fmt: skip
     _write(page, "\n\n".join(part.strip() for part in parts if part) + "\n")
 
 
 def made_from(bench: Bench) -> str:
-    """A mark of the files of each matrix; changes if they do."""
-    rows = tuple((id, bench.fingerprint(id) or "none") for id in bench.ids)
-    return Table("Matrices.", ("CMDP", "mark of its files"), rows).markdown()
+    """A mark of the files of all matrices and of the transfer data; changes if they do."""
+    return bench.signature(code=False)
 
 
 def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
