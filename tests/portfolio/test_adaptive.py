@@ -81,6 +81,8 @@ def test_wrong_numbers_are_refused_and_teach_nothing():
     serving = served.adaptive()
     with pytest.raises(InvalidInput, match="finite return"):
         serving.observe(float("nan"))
+    with pytest.raises(InvalidInput, match="finite return"):
+        serving.observe(np.array([1.0]))
     with pytest.raises(InvalidInput, match="policy of 0 to 1"):
         serving.observe(1.0, policy=2)
     assert serving.played == []
@@ -95,3 +97,5 @@ def test_a_context_outside_is_refused_or_judged_at_the_nearest_one_inside():
     assert choice.predicted_return == served.explain({"x": 1.0}).predicted_return
     assert choice.explanation.startswith("Outside of the contexts, judged at the nearest one")
     assert served.explain({"x": 1.0}, outside="nearest").instead is None
+    with pytest.raises(mbtl.errors.UnknownName, match="nearest"):
+        served.policy_for({"x": 1.0}, outside="clip")

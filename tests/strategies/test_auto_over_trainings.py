@@ -145,7 +145,8 @@ def test_a_trainer_without_start_is_asked_for_no_copy_and_nothing_longer():
     study.run(lambda contexts, seed: simulator.train(contexts, seed), simulator.evaluate,
               progress=False)  # fmt: skip
     assert [len(pick.sources) for pick in study.state.picks] == [N, 1, 1, 1]
-    sentence = "this trainer cannot begin with a policy, so none is tuned or trained longer"
+    sentence = "this trainer takes no start, so no policy is tuned or trained longer; "
+    sentence += "train(contexts, seed, *, start=None, length=None) can do both"
     assert [pick.notes for pick in study.state.picks] == [(sentence,), (), (), ()]
 
 

@@ -84,10 +84,10 @@ class Adaptive:
         played: policies and raw returns so far.
     """
 
-    portfolio: Serving
+    portfolio: Serving = field(repr=False)
     episodes: int = 10
     forget: float = 0.0
-    chances: Array = field(init=False)
+    chances: Array = field(init=False, repr=False)
     played: list[tuple[int, float]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -143,7 +143,7 @@ class Adaptive:
             InvalidInput: the return is not finite, or there is no such policy.
         """
         which = self.next if policy is None else policy
-        if not np.isfinite(value) or not 0 <= which < len(self.portfolio):
+        if np.ndim(value) or not np.isfinite(value) or not 0 <= which < len(self.portfolio):
             raise InvalidInput(
                 f"an episode has a finite return and a policy of 0 to {len(self.portfolio) - 1}, "
                 f"got {value!r} of policy {which}"

@@ -19,7 +19,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.episodes import Episodes
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
@@ -157,6 +157,8 @@ class Portfolio:
             ContextMismatch: the context lies outside the axes.
         """
         asked = dict(context)
+        if outside not in ("error", "nearest"):
+            raise unknown_name("way to treat a context outside", outside, ("error", "nearest"))
         if outside == "nearest":
             context = self.space.nearest(asked)
         seen = forecast(self.space, self.sources, self.routing.beliefs, context)

@@ -109,7 +109,7 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     ]
     if told:
         parts += [
-            _section("curve", "V after each training", f"V is measured on {subject.values_of}."),
+            _section("curve", "V after each training", f"V is of {subject.values_of}."),
             _picks(subject),
             _section("policies", "Which policy serves which context", ""),
             _badly_served(subject),

@@ -102,7 +102,7 @@ def of_study(study: Study) -> Subject:
         study.routing if known else None,
         study.curve,
         state.units(),
-        "an estimate while the study ran",
+        "the episodes that chose, as it was estimated after each training",
         summary.picks,
         {} if curves is None else curves.baselines,
         {} if curves is None else curves.levels,
@@ -137,15 +137,20 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
     folder = study.folder
     if folder is None or not summary.told:
         return ()
-    middle, portfolio = study.space.context(study.space.n // 2), str(folder / "portfolio")
-    steps = [
-        ("Serve a context", f"mbtl.load_portfolio({portfolio!r}).policy_for({middle!r})"),
-        ("See every pick, and what failed", f"mbtl study show {folder}"),
-    ]
-    if not study.is_finished:
-        steps.insert(0, ("Watch it", f"mbtl study show {folder} --live 10"))
-    elif "budget" in (summary.finished or "") and summary.steps is None:
-        steps.append(
-            ("Train more: the command that began it, with", f"--budget {summary.budget + 5:g}")
+    portfolio, steps = folder / "portfolio", list[tuple[str, str]]()
+    if (portfolio / "portfolio.json").is_file():
+        own = (
+            ", load=your_load"
+            if (study.state.equipment or {}).get("policy_format") == "custom"
+            else ""
         )
+        context = study.space.context(study.space.n // 2)
+        call = f"mbtl.load_portfolio({str(portfolio)!r}{own}).policy_for({context!r})"
+        steps.append(("Serve a context", call))
+    if not study.is_finished:
+        steps.insert(0, ("Go on, if nothing is running", "repeat the command that began it"))
+    elif "budget" in (summary.finished or "") and summary.steps is None:
+        more = f"--budget {summary.budget + 5:g}"
+        steps.append(("Train more: repeat the command that began it, with", more))
+    steps.append(("See every pick, and what failed", f"mbtl study show {folder}"))
     return tuple(steps)

@@ -47,7 +47,10 @@ _UNKNOWN = (
     "no trainer is known so far, so each pick is one context from scratch; study.equip(trainer) "
     "says what else can be trained"
 )
-_FROM_SCRATCH = "this trainer cannot begin with a policy, so none is tuned or trained longer"
+_FROM_SCRATCH = (
+    "this trainer takes no start, so no policy is tuned or trained longer; "
+    "train(contexts, seed, *, start=None, length=None) can do both"
+)
 
 
 class Option(NamedTuple):
