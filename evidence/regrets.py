@@ -182,8 +182,6 @@ def variants() -> dict[str, Auto]:
     return {
         "auto": auto,
         "no early look": replace(auto, first=1.0),
-        "whole copies": replace(auto, copy=1.0),
-        "no copies": replace(auto, copy=np.inf),
         "nothing is usual": replace(auto, doubt=1e-3),
         "the last doubling is all": replace(auto, double_share=0.0),
     }

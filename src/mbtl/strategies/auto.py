@@ -1,17 +1,16 @@
 """Auto: all contexts first, then each unit where it is expected to add most to V.
 
-Three kinds of trainings compete at every pick, by the gain in V per unit that each is expected to
+Two kinds of trainings compete at every pick, by the gain in V per unit that each is expected to
 bring:
 
     all contexts, longer    the gain of the last doubling
-    a copy, tuned on x      what a chooser of contexts expects of copies so far, their rows taken
-                            relative to their parent's; and what the last copies brought
-    x alone, from scratch   what the same chooser expects of specialists so far, and what the last
-                            ones brought
+    x alone, from scratch   what a chooser of contexts expects of specialists so far, and what the
+                            last ones brought
 
-Both choosers know what the other policies are worth (`History.others`). Before the first copy, and
-the first specialist, a share of the headroom stands for what it brings. What the trainer cannot do
-is left out, and so is what was tried and gave nothing.
+The chooser knows what the other policies are worth (`History.others`). Before the first specialist
+a share of the headroom stands for what it brings. What the trainer cannot do is left out, and so is
+what was tried and gave nothing. (Copies of the policy for all, tuned on one context, were a third
+kind: on no set of problems did they pay, docs/decisions.md.)
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.history import History, Training
 from mbtl.models.beliefs import Beliefs
-from mbtl.objective import generalisation_performance, worst_share_mean, worst_share_weights
+from mbtl.objective import generalisation_performance, worst_share_mean
 from mbtl.selectors import Specialists
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
 from mbtl.selectors.contract import LearnedSelector, Selector, Traits
@@ -61,52 +60,22 @@ class Option(NamedTuple):
     price: float
 
 
-class Kind(NamedTuple):
-    """Trainings on one context, of which a chooser says the next one.
-
-    Attributes:
-        name: for people.
-        problem: as the chooser sees it.
-        known: likewise, those so far.
-        units: what one costs.
-        usual: gain in V that is usual.
-        brought: gain in V of the last ones, on average; 0 before the first.
-        most: gain in V that is to be expected at most.
-        start: row of the policy it begins with.
-        length: units that are asked for.
-    """
-
-    name: str
-    problem: SelectionProblem
-    known: History
-    units: float
-    usual: float
-    brought: float
-    most: float
-    start: int | None = None
-    length: float | None = None
-
-
 @dataclass(frozen=True)
 class Auto:
-    """The best of three kinds of trainings, beginning with all contexts.
+    """The better of two kinds of trainings, beginning with all contexts.
 
     Attributes:
-        chooser: of contexts, for specialists and for copies.
+        chooser: of contexts, for specialists.
         first: units after which the policy for all is looked at for the first time.
-        copy: units of a copy.
         double_share: gain that is usual of a doubling, as a share of the headroom.
-        copy_share, fresh_share: gain of the first copy and of the first specialist per unit, as a
-            share of the headroom.
+        fresh_share: gain of the first specialist, as a share of the headroom.
         doubt: trainings that what is usual counts as much as.
         name: what results call it.
     """
 
     chooser: Selector = field(default_factory=Specialists)
     first: float = 0.5
-    copy: float = 0.5
     double_share: float = 0.2
-    copy_share: float = 0.1
     fresh_share: float = 0.1
     doubt: float = 0.5
     name: str = "auto"
@@ -148,32 +117,25 @@ class Auto:
         return replace(best, chance=chance, chance_left=left)
 
     def _options(self, standing: Standing, rng: np.random.Generator) -> list[Option]:
-        """Of each kind the best, but for kinds that cannot be the best: a chooser takes time."""
+        """The best of each kind; the chooser, which takes time, is asked where it could win."""
         options = [] if (longer := self._longer(standing)) is None else [longer]
-        problem, kinds = standing.problem, (self._fresh(standing), self._copy(standing))
-        every = problem.least_gain is not None or problem.least_left is not None
-        for kind in sorted(kinds, key=lambda one: -one.most / one.units):
-            rate = max((one.gain / one.price for one in options), default=-np.inf)
-            if kind.units > standing.left + _LEAST or (kind.most / kind.units < rate and not every):
-                continue
-            try:
-                chosen = self.chooser.propose(kind.problem, kind.known, rng)
-            except Exhausted:
-                continue
-            done, gain = len(kind.known), kind.usual
-            if chosen.acquisition is not None:
-                expected = (chosen.acquisition + kind.brought) / 2.0
-                gain = (self.doubt * gain + done * expected) / (self.doubt + done)
-            gain = min(gain, kind.most) * (done + 1.0) / (done + len(kind.known.failed) + 1.0)
-            proposal = replace(
-                chosen,
-                reason=f"{kind.name}: {chosen.reason}",
-                acquisition=gain,
-                start=kind.start,
-                length=kind.length,
-            )
-            options.append(Option(proposal, gain, kind.units * standing.cost(chosen.source)))
-        return options
+        problem, known = standing.problem, standing.history.specialists()
+        usual, brought, most = self._expected(standing, known)
+        rate = max((one.gain / one.price for one in options), default=-np.inf)
+        asked_all = problem.least_gain is not None or problem.least_left is not None
+        if standing.left < 1.0 - _LEAST or (most < rate and not asked_all):
+            return options
+        try:
+            chosen = self.chooser.propose(standing.alone, known, rng)
+        except Exhausted:
+            return options
+        done, gain = len(known), usual
+        if chosen.acquisition is not None:
+            expected = (chosen.acquisition + brought) / 2.0
+            gain = (self.doubt * gain + done * expected) / (self.doubt + done)
+        gain = min(gain, most) * (done + 1.0) / (done + len(known.failed) + 1.0)
+        alone = replace(chosen, reason=f"from scratch: {chosen.reason}", acquisition=gain)
+        return [*options, Option(alone, gain, standing.cost(chosen.source))]
 
     def _longer(self, standing: Standing) -> Option | None:
         """Twice as long, or as far as the budget goes."""
@@ -205,41 +167,17 @@ class Auto:
         )  # fmt: skip
         return Option(proposal, gain, more)
 
-    def _copy(self, standing: Standing) -> Kind:
-        """Copies of the policy for all, tuned where the chooser says."""
-        any_length = "length" in standing.abilities
-        units = self.copy if any_length else 1.0
-        if "start" not in standing.abilities:
-            units = np.inf
-        # what counts are the targets that are worst today, not those that copies change least
-        weights = worst_share_weights(standing.best, standing.problem.weights, standing.alone.risk)
-        usual, known = self.copy_share * standing.usual * min(units, 1.0), standing.copies
-        return Kind(
-            "a copy of the policy for all",
-            replace(standing.alone, weights=weights, risk=1.0),
-            known,
-            units,
-            *self._expected(usual, known, standing.added[standing.copied]),
-            standing.everybody,
-            units if any_length else None,
-        )
+    def _expected(self, standing: Standing, known: History) -> tuple[float, float, float]:
+        """Gain that is usual of the next specialist, that of the last ones, and the most.
 
-    def _fresh(self, standing: Standing) -> Kind:
-        """Specialists from scratch, where the chooser says."""
-        known, made = standing.history.specialists(), standing.history.made
-        rows = [row for row in range(len(standing.history)) if made(row).is_specialist]
-        expected = self._expected(self.fresh_share * standing.usual, known, standing.added[rows])
-        return Kind("from scratch", standing.alone, known, 1.0, *expected)
-
-    def _expected(self, usual: float, known: History, added: Array) -> tuple[float, float, float]:
-        """Gain that is usual of the next one of a kind, that of the last ones, and the most.
-
-        The most is what the last ones `added` to V, for the best comes first. While the first one
-        is under way, which will show what the kind is worth, another one is worth less.
+        The most is what the last ones added to V, for the best comes first. While the first one is
+        under way, which will show what specialists are worth, another one is worth less.
         """
+        usual, made = self.fresh_share * standing.usual, standing.history.made
         if not len(known):
             usual /= 1.0 + len(known.pending)
-        last = added[-_LAST:]
+        rows = [row for row in range(len(standing.history)) if made(row).is_specialist]
+        last = standing.added[rows][-_LAST:]
         most = (self.doubt * usual + last.sum()) / (self.doubt + len(last))
         return usual, float(last.mean()) if len(last) else 0.0, float(most)
 
@@ -358,37 +296,6 @@ class Standing:
         best = np.maximum.accumulate(self.rows, axis=0)
         values = worst_share_mean(best, self.problem.weights, self.problem.risk)
         return np.diff(values, prepend=values[0] if len(values) else 0.0)
-
-    def is_copy(self, training: Training) -> bool:
-        """Of a policy for all, tuned on one context."""
-        return len(training.contexts) == 1 and training.start in self.for_all
-
-    @property
-    def copied(self) -> list[int]:
-        """Rows of copies."""
-        return [row for row in range(len(self.history)) if self.is_copy(self.history.made(row))]
-
-    @cached_property
-    def copies(self) -> History:
-        """Copies as if they were specialists, whose performance is what they add to their parent.
-
-        What the best of all policies has, relative to the policy for all of today, is `others`.
-        """
-        assert self.everybody is not None
-        history, rows, errors = self.history, self.copied, self.history.errors
-        starts = [history.made(row).start or 0 for row in rows]
-        if errors is not None:
-            errors = np.hypot(errors[rows], errors[starts])
-        return History(
-            self.problem.n,
-            tuple(history.sources[row] for row in rows),
-            history.rows[rows] - self.rows[starts],
-            tuple(one.contexts[0] for one in history.under_way if self.is_copy(one)),
-            tuple(one.contexts[0] for one in history.given_up if self.is_copy(one)),
-            errors,
-            history.spent,
-            others=self.best - self.rows[self.everybody],
-        )
 
     def cost(self, source: int) -> float:
         """Of a unit on a context, relative to the mean."""
