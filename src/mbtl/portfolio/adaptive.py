@@ -72,9 +72,8 @@ class Serving(Protocol):
 class Adaptive:
     """Chooses a policy for each episode in a context that nobody tells.
 
-        serving = portfolio.adaptive()
-        for episode in range(10):
-            serving.observe(play(serving.policy))  # the return of one episode
+    `serving = portfolio.adaptive()`, and for each episode
+    `serving.observe(play(serving.policy))` with its return.
 
     Attributes:
         portfolio: whose policies are played.
