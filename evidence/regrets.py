@@ -3,9 +3,9 @@
     python evidence/regrets.py [--folder runs/transfers] [--cmdps a b] [--without]
 
 Trainings of every kind are replayed on transfer data. Rivals, each by the mean over seeds: the
-paper's MBTL, Greedy, Random's mean, m-mbtl, the chooser of specialists alone; one policy for all
-with all the units; that policy with one unit and then random specialists. A regret is negative
-where a rival is ahead. Shares are of the way from one random specialist (0) to Oracle
+paper's MBTL, Greedy, Random's mean, k-means, m-mbtl, the chooser of specialists alone; one policy
+for all with all the units; that policy with one unit and then random specialists. A regret is
+negative where a rival is ahead. Shares are of the way from one random specialist (0) to Oracle
 Transfer of all specialists (1).
 
 Last comes what beginning with everybody costs, where it gains nothing: V of K specialists in random

@@ -30,8 +30,8 @@ def bits(
     """
     first = jnp.atleast_1d(moment.astype(jnp.uint32)) * jnp.uint32(of or count)
     index = first[None, :] + jnp.arange(count, dtype=jnp.uint32)[:, None]
-    place = _mix(index + jnp.uint32((stream * _GOLDEN) & 0xFFFFFFFF))
-    return _mix(_mix(seed + jnp.uint32(_GOLDEN))[None, :] ^ place)
+    place = mix(index + jnp.uint32((stream * _GOLDEN) & 0xFFFFFFFF))
+    return mix(mix(seed + jnp.uint32(_GOLDEN))[None, :] ^ place)
 
 
 def uniform(
@@ -58,7 +58,7 @@ def coins(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Ar
     return (heads.astype(jnp.float32) - 16.0) * jnp.float32(8.0**-0.5)
 
 
-def _mix(x: jax.Array) -> jax.Array:
+def mix(x: jax.Array) -> jax.Array:
     """A bijection of 32-bit integers in which every input bit changes half of the output bits."""
     x ^= x >> 16
     x *= jnp.uint32(_MULTIPLIERS[0])

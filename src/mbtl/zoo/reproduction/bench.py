@@ -122,7 +122,11 @@ class Case:
     @property
     def k_star(self) -> tuple[int | None, ...]:
         """Per seed, trainings until MBTL reaches its level; None: not among those replayed."""
-        pairs = zip(self.far, self.target_levels, strict=True)
+        return self.stars_of(self.far)
+
+    def stars_of(self, curves: Array) -> tuple[int | None, ...]:
+        """Likewise of other curves, (S, K)."""
+        pairs = zip(curves, self.target_levels, strict=True)
         return tuple(k_star(curve, float(level)) for curve, level in pairs)
 
     def share(self, values: Array) -> Array:

@@ -128,10 +128,9 @@ class SmallProblem:
         """The world, and the parameters of `contexts` with one leading axis."""
         from mbtl.engine import worlds
         from mbtl.zoo.small import worlds as small
-        from mbtl.zoo.small.worlds import Disturbed
 
         kind = KINDS[self.kind]
-        world = worlds.Solo(Disturbed(getattr(small, kind.world)(), kind.scale))
+        world = worlds.Solo(small.Disturbed(getattr(small, kind.world)(), kind.scale))
         constants, seen = [], []
         for context in contexts:
             values = {name: float(value) for name, value in context.items()}

@@ -24,7 +24,9 @@ from mbtl.engine.worlds.environments import (
     Tree,
     stack_observation,
 )
+from mbtl.engine.worlds.random import mix
 from mbtl.zoo.worlds import CartPole, Pendulum
+from mbtl.zoo.worlds.pendulum import wrapped
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Acrobot:
         a, b, v, w = ahead(h, along)
         v = jnp.clip(v, -4 * math.pi, 4 * math.pi)
         w = jnp.clip(w, -9 * math.pi, 9 * math.pi)
-        new = AcrobotState(_wrapped(a), _wrapped(b), v, w)
+        new = AcrobotState(wrapped(a), wrapped(b), v, w)
         up = -jnp.cos(new.a) - jnp.cos(new.a + new.b) > 1.0
         return Step(new, jnp.where(up, 0.0, -1.0).astype(v.dtype), up)
 
@@ -128,10 +130,6 @@ def _acrobot(
     turn = torque + d2 / d1 * phi1 - pull * v**2 - phi2
     dw = turn / (p.mass * middle**2 + p.moment - d2**2 / d1)
     return v, w, -(d2 * dw + phi1) / d1, dw
-
-
-def _wrapped(angle: jax.Array) -> jax.Array:
-    return angle - 2 * math.pi * jnp.floor((angle + math.pi) / (2 * math.pi))
 
 
 CLIMB = 1e4
@@ -297,10 +295,7 @@ def _uniform(state: DisturbedState, count: int) -> jax.Array:
     """(count,) uniform numbers of deviation 1, of this step: cheaper than jax's own generator."""
     bits = state.seed + state.elapsed * jnp.uint32(2654435761)
     bits = bits + jnp.arange(count, dtype=jnp.uint32) * jnp.uint32(2246822519)
-    for shift, factor in ((16, 2146121005), (15, 2221713035)):
-        bits = (bits ^ (bits >> shift)) * jnp.uint32(factor)
-    bits = bits ^ (bits >> 16)
-    return math.sqrt(12.0) * (bits.astype(jnp.float32) / 2.0**32 - 0.5)
+    return math.sqrt(12.0) * (mix(bits).astype(jnp.float32) / 2.0**32 - 0.5)
 
 
 @cache

@@ -32,6 +32,11 @@ class PendulumState(NamedTuple):
     w: jax.Array
 
 
+def wrapped(angle: jax.Array) -> jax.Array:
+    """The same angle in (-pi, pi)."""
+    return angle - 2.0 * math.pi * jnp.floor((angle + math.pi) / (2.0 * math.pi))
+
+
 @dataclass(frozen=True)
 class Pendulum:
     """Swing a pendulum up and hold it, with a torque of at most 2 N m; it never terminates."""
@@ -57,8 +62,8 @@ class Pendulum:
         t, w = state
         gravity_gain, torque_gain, dt, max_speed, _ = params
         u = jnp.clip(action[0], -MAX_TORQUE, MAX_TORQUE)
-        wrapped = t - 2.0 * math.pi * jnp.floor((t + math.pi) / (2.0 * math.pi))
-        reward = -(wrapped * wrapped + 0.1 * w * w + 0.001 * u * u)
+        off = wrapped(t)
+        reward = -(off * off + 0.1 * w * w + 0.001 * u * u)
         w = jnp.clip(w + gravity_gain * jnp.sin(t) + torque_gain * u, -max_speed, max_speed)
         return Step(PendulumState(t + w * dt, w), reward, jnp.zeros_like(t, dtype=bool))
 

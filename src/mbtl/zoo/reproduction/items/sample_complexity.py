@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.objective import k_star
 from mbtl.plot.style import new_figure
 from mbtl.zoo.reproduction.bench import Bench, Case
 from mbtl.zoo.reproduction.item import Item, Numbers, Table, absent
@@ -60,15 +59,14 @@ def _control(case: Case) -> float | None:
     """M / k* of the better of Random and Greedy, within K trainings; None if neither is there."""
     means = []
     for name in {"random", "greedy"} & case.curves.keys():
-        pairs = zip(case.curves[name], case.target_levels, strict=True)
-        stars = [k_star(curve, float(level)) for curve, level in pairs]
+        stars = case.stars_of(case.curves[name])
         if None not in stars:
             means.append(float(np.mean([k for k in stars if k is not None])))
     return case.n_sources / min(means) if means else None
 
 
 def _best(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The largest N / k* of each domain: ours, and the paper's own."""
+    """The largest M / k* of each domain, ours and the control's, and the paper's own N / k*."""
     found: dict[str, Any] = {}
     for domain in ("traffic", "control"):
         for name, who, key in (

@@ -17,6 +17,8 @@ ALGORITHMS = {"PPO": None, "DQN": "dqn", "A2C": "a2c"}
 """Name -> set of matrices; None: the one asked for."""
 
 ACQUISITIONS = {"mbtl": "UCB", "mbtl-ei": "EI", "mbtl-release": "released code"}
+_ON_ALL = ("multitask", "one_policy")
+"""Methods that are of one algorithm."""
 _SHOWN = ("random", "greedy", "mbtl", "sequential_oracle")
 
 
@@ -36,11 +38,7 @@ def compute(bench: Bench) -> Numbers:
             continue
         case = bench.case(CMDP, variant)
         algorithms[name] = {
-            "values": {
-                m: v.to_json()
-                for m, v in case.values.items()
-                if m not in ("multitask", "one_policy")
-            },
+            "values": {m: v.to_json() for m, v in case.values.items() if m not in _ON_ALL},
             "curves": {n: case.curves[n].mean(axis=0).tolist() for n in _SHOWN},
             "mbtl_minus_random": pooled_mean(
                 [case.curves["mbtl"][:, -1] - case.curves["random"][:, -1]]
@@ -64,7 +62,7 @@ def compute(bench: Bench) -> Numbers:
 def tables(numbers: Numbers) -> dict[str, Table]:
     """One per question."""
     found = {}
-    methods = [m for m in METHODS if m not in ("multitask", "one_policy")]
+    methods = [m for m in METHODS if m not in _ON_ALL]
     if numbers["algorithms"]:
         rows = tuple(
             (name, *(Measured.of(one["values"].get(m)) for m in methods))
