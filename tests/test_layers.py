@@ -19,9 +19,9 @@ ROOT = Path(mbtl.__file__).parent
 WINGS = ("engine", "zoo")
 """Folders of two wings; everything else is the tool."""
 TOOL = [
-    "errors", "faults", "score", "plain", "version", "arrays", "settings",
-    "processes", "files", "provider", "seeds", "contexts", "objective", "history", "episodes",
-    "models", "routing", "acquisition", "selectors", "strategies", "portfolio", "envs",
+    "errors", "faults", "plain", "version", "arrays", "settings",
+    "processes", "files", "provider", "seeds", "contexts", "objective", "score", "history",
+    "episodes", "models", "routing", "acquisition", "selectors", "strategies", "portfolio", "envs",
     "trainers", "study", "problems", "plot", "report", "testing", "cli",
 ]  # fmt: skip
 ENGINE = [

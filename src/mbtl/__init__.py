@@ -25,6 +25,7 @@ from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import READERS
 from mbtl.provider import laboratory
+from mbtl.score import Score
 from mbtl.study import (
     Callback,
     Cost,
@@ -39,7 +40,6 @@ from mbtl.study import (
     create_study,
     load_study,
 )
-from mbtl.trainers import FunctionTrainer
 from mbtl.version import __version__
 
 if TYPE_CHECKING:  # what `__getattr__` finds when it is asked for
@@ -60,7 +60,6 @@ __all__ = [
     "Cost",
     "Evaluation",
     "Failures",
-    "FunctionTrainer",
     "Integer",
     "InvalidInput",
     "Linear",
@@ -69,6 +68,7 @@ __all__ = [
     "Objective",
     "Pick",
     "Portfolio",
+    "Score",
     "Steps",
     "Stopping",
     "StorageError",

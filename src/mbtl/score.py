@@ -7,10 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.objective import Direction, direction_named
 
 __all__ = [
+    "RANDOM_ACTIONS",
+    "SCORE",
     "Score",
 ]
+
+SCORE = "score"
+"""Of all that is measured of an episode, what it is worth."""
+RANDOM_ACTIONS = "random_actions"
+"""How any system goes without a policy."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +34,22 @@ class Score:
         strata: an attribute of the environment, the shares of the kinds of luck that it knows; they
             add up to 1. An episode is then one of each kind (`reset(options={"stratum": k})`), and
             worth their mean by those shares: as much on average, and with less luck.
+        unit: of the score, for people.
+        direction: whether larger or smaller scores are better.
 
     Raises:
         InvalidInput: a name that is no text, or empty.
+        UnknownName: another direction.
     """
 
     key: str
     foretold: str | None = None
     strata: str | None = None
+    unit: str = ""
+    direction: Direction = "maximize"
 
     def __post_init__(self) -> None:
+        direction_named(self.direction)
         for name in (self.key, self.foretold, self.strata):
             if name is not None and not (isinstance(name, str) and name):
                 raise InvalidInput(

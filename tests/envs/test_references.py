@@ -1,17 +1,21 @@
 """What an environment gives without a policy: random actions, and no control at all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 import gymnasium
 from gymnasium import spaces
 
-from mbtl.envs.references import RandomActions, measured, reference_rows
+from mbtl.envs.references import RandomActions
 from mbtl.envs.rollout import Actor, Job, play
+from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
 from mbtl.score import Score
+from mbtl.trainers import SB3Trainer, reference_rows
 
 
 class Gauge(gymnasium.Env):
@@ -73,24 +77,37 @@ class Full:
         return np.full((len(observations), 1), self.action), None
 
 
-def test_measures_are_of_whole_episodes_of_every_kind_by_whom_serves_and_by_none():
-    acting = [(Actor(Full(0.5)), CONTEXTS[1:]), (Actor(Full(1.0)), CONTEXTS[:1])]
+def test_measures_are_of_whole_episodes_of_every_kind_of_luck():
     score = Score("score", foretold="known", strata="strata")
-    found = measured(Crowd, acting, [[1, 2], [3, 4]], ("cars", "absent"), max_envs=2, score=score)
-    assert list(found) == ["policies", "unguided"]
-    assert found["policies"]["score"].tolist() == [[6.0, 6.0], [4.0, 4.0]]
-    assert found["policies"]["cars"].tolist() == [[85.0, 85.0], [65.0, 65.0]]  # and 25 of crowds
-    assert found["unguided"]["cars"].tolist() == [[425.0, 425.0], [425.0, 425.0]]
-    assert np.isnan(found["policies"]["absent"]).all()
+    trainer = SB3Trainer(Crowd, timesteps=1, eval_episodes=2, score=score)
+    found = trainer.measure(Full(0.5), CONTEXTS, [1, 2], ("cars", "absent"))
+    assert found["score"].tolist() == [[2.0, 2.0], [6.0, 6.0]]
+    assert found["cars"].tolist() == [[45.0, 45.0], [85.0, 85.0]]  # and 25 of crowds
+    assert np.isnan(found["absent"]).all()
+    np.testing.assert_array_equal(
+        trainer.evaluate(Full(0.5), CONTEXTS, [1, 2]), [[1.0] * 2, [3.0] * 2]
+    )
+    alone = trainer.measure("unguided", CONTEXTS, [1, 2], ("cars",))
+    assert alone["cars"].tolist() == [[425.0, 425.0], [425.0, 425.0]]
+
+
+def test_a_function_of_an_observation_is_a_controller_and_a_wrong_way_is_refused():
+    trainer = SB3Trainer(Guided, timesteps=1, eval_episodes=1)
+    found = trainer.measure(lambda seen: np.full(1, 0.25 + seen[0]), CONTEXTS, [1, 2])
+    assert found["score"].tolist() == [[1.0], [3.0]]
+    assert trainer.ways(CONTEXTS) == ("random_actions", "unguided")
+    with pytest.raises(UnknownName, match="way"):
+        trainer.measure("unguidet", CONTEXTS, [1, 2])
 
 
 def test_random_actions_are_any_and_those_of_an_episode_the_same_everywhere():
-    rows = reference_rows(Gauge, CONTEXTS, [range(40)] * len(CONTEXTS), max_envs=8)
+    trainer = SB3Trainer(Gauge, timesteps=1, eval_episodes=40)
+    rows = reference_rows(trainer, CONTEXTS, [0, 0])
     assert list(rows) == ["random_actions"]
     assert rows["random_actions"].shape == (2, 40)
     assert rows["random_actions"][1] == pytest.approx(3.0 * rows["random_actions"][0])
     assert rows["random_actions"][0].mean() == pytest.approx(2.0, abs=0.3)
-    again = reference_rows(Gauge, CONTEXTS, [range(40)] * len(CONTEXTS), max_envs=1)
+    again = reference_rows(replace(trainer, n_eval_envs=1), CONTEXTS, [0, 0])
     np.testing.assert_array_equal(again["random_actions"], rows["random_actions"])
 
 
@@ -110,7 +127,7 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
     rows = {}
     for engine in ("gymnasium", "jax"):
         trainer = get_cmdp("pendulum-length", engine=engine).trainer_for(eval_episodes=3)
-        rows[engine] = trainer.reference_rows(contexts, range(len(contexts)))
+        rows[engine] = reference_rows(trainer, contexts, range(len(contexts)))
     assert rows["jax"]["unguided"] == pytest.approx(rows["gymnasium"]["unguided"], rel=1e-2)
     assert rows["jax"]["random_actions"].shape == (2, 3)
     assert set(rows["gymnasium"]) == {"random_actions", "unguided"}
@@ -119,7 +136,7 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
 def test_cartpole_falls_under_random_actions_and_has_no_way_to_go_on_by_itself():
     pytest.importorskip("jax", reason="the jax extra is not installed")
     trainer = get_cmdp("cartpole-length", engine="jax").trainer_for(eval_episodes=20)
-    rows = trainer.reference_rows([{"length": 0.5}], [1])
+    rows = reference_rows(trainer, [{"length": 0.5}], [1])
     assert list(rows) == ["random_actions"]
     jobs = [Job(lambda: get_cmdp("cartpole-length").make_env({"length": 0.5}), range(20))]
     (peer,) = play(jobs, Actor(RandomActions(spaces.Discrete(2)), sampled=True), max_envs=1)

@@ -6,7 +6,6 @@ Train what the strategy picks, evaluate everywhere, save the portfolio.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +21,7 @@ from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.objective import Objective
 from mbtl.plot import curve, policy_map, save
 from mbtl.problems import resolve_cmdp
-from mbtl.report import beside, reference_curves, summarise_study
+from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
 from mbtl.study import (
@@ -189,7 +188,7 @@ def run(
             if not running.state.rows:
                 raise
             ended = error  # the policies that there are serve all the same
-    _finish(running, trainer, folder, {} if no_report else cmdp.beside, as_json=as_json)
+    _finish(running, trainer, folder, as_json=as_json)
     if ended is not None:
         raise ended
     check_evaluated(running)
@@ -226,9 +225,7 @@ def _announce(study: Study, folder: Path) -> None:
     console.say(f"{spec.problem}: {study.space!r}, {budget}, study in {folder}{going_on}")
 
 
-def _finish(
-    study: Study, trainer: Trainer, folder: Path, units: Mapping[str, str], *, as_json: bool
-) -> None:
+def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:
     """Save the portfolio and pictures, then print the summary."""
     summary = summarise_study(study)
     files: dict[str, str] = {}
@@ -256,7 +253,6 @@ def _finish(
             files["portfolio"] = str(folder / "portfolio")
         except StorageError as error:
             notes.append(f"no portfolio: {error}")
-        notes += beside.measure(study, trainer, units, folder, console.print)
         if (curves := reference_curves(study)) is not None:
             notes.append(curves.said)
         try:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -21,8 +22,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
-from mbtl.errors import unknown_name
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
+from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import episode_seeds
 from mbtl.trainers.contract import (
     Ability,
@@ -510,61 +512,63 @@ class WorldTrainer:
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
         return engine.evaluate(world, actor, params, each, activation=activation, how=self.how)
 
-    def beside(
+    def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
+        """See `mbtl.trainers.MeasuringTrainer`."""
+        world, _ = self.problem(contexts)
+        alone = ("unguided",) if world.drives else ()
+        return (RANDOM_ACTIONS, *alone, *getattr(world, "ways", ()))
+
+    def measure(
         self,
-        policies: Sequence[MLPPolicy],
-        contexts: Sequence[Sequence[Context]],
+        policy: Any,
+        contexts: Sequence[Context],
         seeds: Sequence[int] | int,
         names: Sequence[str] = (),
-    ) -> dict[str, dict[str, Array]]:
-        """What is measured of episodes beside the score: by the world, or by its simulators.
-
-        Args:
-            policies: that serve; of one that serves nowhere anything.
-            contexts: of each policy, those that it serves; none twice.
-            seeds: of the episodes, one per context, policy by policy.
-            names: of the measures, where simulators tell them in the last step's `info`.
-
-        Returns:
-            By who drives ("policies", and what goes best by itself) and by measure, an array of
-            (contexts, eval_episodes), the contexts policy by policy; of simulators, which are slow,
-            one episode each.
-        """
-        every = [context for some in contexts for context in some]
-        world, params = self.problem(every)
-        own, parts, first = episode_seeds(seeds, len(every), self.eval_episodes), [], 0
-        if not hasattr(world, "measures"):
-            from mbtl.envs.references import measured
-            from mbtl.envs.rollout import Actor
-
-            make_env, sampled = getattr(self.problem, "make_env", None), self.how == "sampled"
-            if make_env is None:
-                return {}
-            pairs = zip(policies, contexts, strict=True)
-            acting = [(Actor(policy, sampled), some) for policy, some in pairs if some]
-            score = getattr(self.problem, "score", None)
-            first_ones = [seeds_there[:1] for seeds_there in own]
-            return measured(make_env, acting, first_ones, names, max_envs=1, score=score)
-        for policy, some in zip(policies, contexts, strict=True):
-            if some:
-                end = first + len(some)
-                part = type(params)(*(field[first:end] for field in params))
-                actor, activation = engine.import_actor([policy]), policy.activation
-                acts: Any = {"activation": activation, "how": self.how}
-                parts.append(engine.measured(world, actor, part, own[first:end], **acts))
-                first = end
-        found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}}
-        for way in (*(("unguided",) if world.drives else ()), *getattr(world, "ways", ()))[-1:]:
-            found[way] = engine.measured(world, None, params, own, way=way)
-        return found
-
-    def reference_rows(
-        self, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> dict[str, Array]:
-        """See `mbtl.trainers.ReferenceTrainer`."""
-        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
+        """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
         world, params = self.problem(contexts)
-        return engine.reference_returns(world, params, each)
+        each, way = episode_seeds(seeds, len(contexts), self.eval_episodes), policy
+        if not isinstance(policy, (str, MLPPolicy)):
+            raise InvalidInput(
+                "worlds are played by policies of the engine and by ways that they name, got "
+                f"{type(policy).__name__}; give one of {self.ways(contexts)}"
+            )
+        told = hasattr(world, "measures")
+        if not names or way == RANDOM_ACTIONS or not (told or hasattr(self.problem, "make_env")):
+            if isinstance(policy, str):
+                return {SCORE: engine.reference_returns(world, params, each, way)}
+            return {SCORE: self.evaluate(policy, contexts, seeds)}
+        if not told:
+            return self._simulated(policy, contexts, each, names)
+        actor, acts = None, dict[str, Any](way=way)
+        if isinstance(policy, MLPPolicy):
+            actor = engine.import_actor([policy])
+            acts = {"activation": policy.activation, "how": self.how}
+        found = engine.measured(world, actor, params, each, **acts)
+        return {name: found[name] for name in (SCORE, *names) if name in found}
+
+    def _simulated(
+        self,
+        policy: MLPPolicy | str,
+        contexts: Sequence[Context],
+        seeds: Sequence[Sequence[int]],
+        names: Sequence[str],
+    ) -> dict[str, Array]:
+        """In the environments of the problem, one after another."""
+        from mbtl.envs.references import going
+        from mbtl.envs.rollout import Actor, Job, play_counted
+
+        problem: Any = self.problem
+        make, score = problem.make_env, problem.score
+        score = None if score is None else replace(score, foretold=None)
+        if isinstance(policy, str):
+            actor, make = going(policy, make, contexts[0])
+        else:
+            actor = Actor(policy, self.how == "sampled")
+        pairs = zip(contexts, seeds, strict=True)
+        jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
+        found, _ = play_counted(jobs, actor, max_envs=1)
+        return dict(zip((SCORE, *names), np.moveaxis(np.array(found), -1, 0), strict=True))
 
     @property
     def _why_no_sets(self) -> str | None:

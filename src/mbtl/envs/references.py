@@ -8,111 +8,76 @@ its own names them in `ways`, and takes a step of one with `follow(way)`. Many h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.rollout import Actor, Job, play, play_counted
-from mbtl.score import Score
+from mbtl.envs.rollout import Actor
+from mbtl.errors import unknown_name
+from mbtl.score import RANDOM_ACTIONS
 
 __all__ = [
     "ByItself",
+    "Controller",
     "RandomActions",
-    "measured",
-    "reference_rows",
+    "going",
+    "ways_in",
     "ways_of",
 ]
 
-RANDOM_ACTIONS = "random_actions"
 UNGUIDED = "unguided"
 
 
-def reference_rows(
-    make_env: Callable[[Context], Any],
-    contexts: Sequence[Context],
-    seeds: Sequence[Sequence[int]],
-    *,
-    max_envs: int,
-    score: Score | None = None,
-) -> dict[str, Array]:
-    """Returns in every context, (n_contexts, n_episodes) by name.
+def ways_in(make_env: Callable[[Context], Any], context: Context) -> tuple[str, ...]:
+    """How an environment goes without a policy, random actions first."""
+    env = make_env(context)
+    try:
+        return (RANDOM_ACTIONS, *ways_of(env))
+    finally:
+        env.close()
 
-    Args:
-        make_env: context -> environment, Gymnasium's or PettingZoo's.
-        contexts: where to play.
-        seeds: of the episodes in each context.
-        max_envs: environments alive at once.
-        score: what an episode is worth; None: the sum of its rewards.
+
+def going(
+    way: str, make_env: Callable[[Context], Any], context: Context
+) -> tuple[Actor, Callable[[Context], Any]]:
+    """Who acts where a system goes one of its `ways_in`, and in what environments.
+
+    Raises:
+        UnknownName: there is no such way.
     """
-    first = make_env(contexts[0])
-    ways = ways_of(first)
-    space = first.action_space
+    if way not in (known := ways_in(make_env, context)):
+        raise unknown_name("way", way, known)
+    env = make_env(context)
+    space = env.action_space
     policy = RandomActions(space("") if callable(space) else space)
-    first.close()
-    actor = Actor(policy, sampled=True)
-    makers: dict[str, Callable[[Context], Any]] = {RANDOM_ACTIONS: make_env}
-    for way in ways:
-        makers[way] = partial(_by_itself, make_env, way)
-    pairs = list(zip(contexts, seeds, strict=True))
-    return {
-        name: np.array(
-            play(
-                [Job(partial(make, one), own, score) for one, own in pairs],
-                actor,
-                max_envs=max_envs,
-            )
-        )
-        for name, make in makers.items()
-    }
+    env.close()
+    make = make_env if way == RANDOM_ACTIONS else partial(_by_itself, make_env, way)
+    return Actor(policy, sampled=True), make
 
 
-def measured(
-    make_env: Callable[[Context], Any],
-    acting: Sequence[tuple[Actor, Sequence[Context]]],
-    seeds: Sequence[Sequence[int]],
-    names: Sequence[str],
-    *,
-    max_envs: int,
-    score: Score | None = None,
-) -> dict[str, dict[str, Array]]:
-    """What episodes' last steps tell beside the score (`mbtl.engine.WorldTrainer.beside`).
+@dataclass(frozen=True)
+class Controller:
+    """A function of one observation that returns an action, as a policy.
 
-    Args:
-        make_env: context -> environment.
-        acting: policies, and where each serves.
-        seeds: of the episodes in each context, policy by policy.
-        names: of the measures, keys of the last step's `info`.
-        max_envs: environments alive at once.
-        score: what an episode is worth. It is played to its end also where that is foretold.
+    Attributes:
+        act: observation -> action.
     """
-    whole = None if score is None else replace(score, foretold=None)
-    every = [context for _, some in acting for context in some]
-    first = make_env(every[0])
-    ways = ways_of(first)[-1:]
-    first.close()
 
-    def jobs(make: Callable[[Context], Any]) -> list[Job]:
-        pairs = zip(every, seeds, strict=True)
-        return [Job(partial(make, one), own, whole, names) for one, own in pairs]
+    act: Callable[[Any], Any]
+    row_by_row: ClassVar[bool] = True
 
-    rows: dict[str, list[Array]] = {"policies": []}
-    waiting = iter(jobs(make_env))
-    for actor, some in acting:
-        own = [next(waiting) for _ in some]
-        rows["policies"] += play_counted(own, actor, max_envs=max_envs)[0]
-    for way in ways:
-        nobody = jobs(partial(_by_itself, make_env, way))
-        rows[way] = play_counted(nobody, acting[0][0], max_envs=max_envs)[0]
-    columns = ("score", *names)
-    return {
-        who: dict(zip(columns, np.moveaxis(np.array(some), -1, 0), strict=True))
-        for who, some in rows.items()
-    }
+    def predict(self, observations: Any, deterministic: bool = True) -> tuple[list[Any], None]:
+        """An action for each observation of a batch."""
+        if isinstance(observations, dict):
+            n = len(next(iter(observations.values())))
+            rows = [{key: part[i] for key, part in observations.items()} for i in range(n)]
+        else:
+            rows = list(observations)
+        return [self.act(row) for row in rows], None
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, TrainingFailed
-from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 
@@ -32,6 +31,7 @@ __all__ = [
     "Actor",
     "Job",
     "play",
+    "play_counted",
 ]
 
 ROWS = 32
@@ -194,7 +194,7 @@ class Actor:
             ]
         makers = [(place, seen) for place in places for seen in place.observations]
         chosen: list[Any] = []
-        exact = isinstance(self.policy, MLPPolicy) and isinstance(self.policy.head, DiscreteHead)
+        exact = getattr(self.policy, "row_by_row", False)
         for start in range(0, len(makers), ROWS):
             batch = makers[start : start + ROWS]
             padded = batch if exact else [*batch, *[batch[-1]] * (ROWS - len(batch))]

@@ -83,6 +83,11 @@ class MLPPolicy:
     head: DiscreteHead | BoxHead
     scaling: Scaling | None = None
 
+    @property
+    def row_by_row(self) -> bool:
+        """Whether an action does not depend on its batch: the largest of some sums does not."""
+        return isinstance(self.head, DiscreteHead)
+
     def __repr__(self) -> str:
         widths = [int(np.prod(self.observation_shape)), *(len(bias) for bias in self.biases)]
         layers = " -> ".join(map(str, widths))

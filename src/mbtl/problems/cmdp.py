@@ -21,7 +21,7 @@ from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.plain import whole
 from mbtl.score import Score
 from mbtl.study import Study, create_study
-from mbtl.study.problem import ProblemFacts
+from mbtl.study.problem import Beside, ProblemFacts
 from mbtl.trainers.contract import FunctionTrainer, Trainer, recipe_of
 
 DEFAULT_BUDGET = 10
@@ -108,7 +108,7 @@ class CMDP:
         trainer: trains, evaluates, saves and loads; the default preset's.
         bounds: returns at which performance is 0 and 1 (spec, 2.2); None: from the returns seen. Of
             `Bounds` the direction and the floor count, too.
-        direction: whether larger or smaller returns are better.
+        direction: whether larger or smaller returns are better; a `Score` to minimise says it, too.
         floor: return below which none is worse in performance; returns themselves are not clipped.
         best_return: the largest return there is (smallest, if minimised); None: not known. A study
             ends where V reaches what it is worth.
@@ -123,11 +123,16 @@ class CMDP:
         presets: recipes by name, the first is the default.
         chosen: the recipe that `recipe` chose; None: the first preset.
         score: what an episode is worth, where that is not the sum of its rewards: a key of the
-            `info` of its last step, or a `Score`.
+            `info` of its last step, or a `Score`, which has a unit and a direction.
+        metrics: what people need to see beside the score: further keys of that `info`, or of what
+            `evaluate` returns, and their units.
+        baselines: what V is compared with, by name, in the same episodes: a policy, a function of
+            an observation that returns an action, or the name of what the environment can do by
+            itself ("random_actions", "unguided", or one of its `ways`). The controllers that an
+            environment has are always among them.
         settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
             `version` they say which problem this is.
         description: one line for people.
-        beside: what people need to see beside the score of an episode: unit by name of a measure.
 
     Raises:
         InvalidInput: an id unfit for a file name, bounds or theta not finite, a budget not in 1..N.
@@ -153,8 +158,9 @@ class CMDP:
     description: str = ""
     floor: float | None = None
     best_return: float | None = None
-    beside: Mapping[str, str] = field(default_factory=dict)
     score: Score | None = None
+    metrics: Mapping[str, str] = field(default_factory=dict)
+    baselines: Mapping[str, Any] = field(default_factory=dict)
     chosen: Chosen | None = None
 
     def __post_init__(self) -> None:
@@ -174,6 +180,10 @@ class CMDP:
                 f"{type(self.space).__name__}; build one with ContextSpace.grid"
             )
         object.__setattr__(self, "score", Score.of(self.score))
+        if not isinstance(self.metrics, Mapping):
+            object.__setattr__(self, "metrics", dict.fromkeys(self.metrics, ""))
+        if self.score is not None and self.score.direction == "minimize":
+            object.__setattr__(self, "direction", "minimize")
         self._check_numbers()
         if self.nominal is not None:
             self.space.encode(self.nominal)
@@ -200,6 +210,7 @@ class CMDP:
         evaluate: Callable[..., Any],
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
+        score: str | Score | None = None,
         budget: int | None = None,
         **record: Any,
     ) -> CMDP:
@@ -215,11 +226,17 @@ class CMDP:
                 the same episodes for every policy.
             save: policy, empty folder -> None; with `load` it lets a study keep its policies.
             load: folder -> policy.
+            score: where `evaluate` returns a mapping, which of its names counts; the others may be
+                `metrics`. None: it returns numbers.
             budget: default number of trainings K; 10, or N if that is smaller.
-            **record: further fields of `CMDP`, e.g. `bounds`, `direction`, `nominal`.
+            **record: further fields of `CMDP`, e.g. `bounds`, `metrics`, `baselines` (each anything
+                that `evaluate` takes for a policy).
         """
-        trainer = FunctionTrainer(train, evaluate, save, load)
-        return cls(id, space, trainer, presets=_only_preset(space, budget), **record)
+        counts = Score.of(score)
+        key = None if counts is None else counts.key
+        trainer = FunctionTrainer(train, evaluate, save, load, score=key)
+        presets = _only_preset(space, budget)
+        return cls(id, space, trainer, presets=presets, score=counts, **record)
 
     @classmethod
     def from_env(
@@ -258,7 +275,7 @@ class CMDP:
                 with the policy.
             trainer_options: further options of `mbtl.trainers.SB3Trainer`.
             budget: default number of trainings K; 10, or N if that is smaller.
-            **record: further fields of `CMDP`, e.g. `bounds`, `nominal`, `presets`.
+            **record: further fields of `CMDP`, e.g. `bounds`, `metrics`, `baselines`, `presets`.
         """
         from mbtl.trainers import SB3Trainer
 
@@ -353,6 +370,8 @@ class CMDP:
             "recipe": recipe_of(trainer),
             "policy_format": trainer.policy_format,
         }
+        if self.score is not None:
+            settings["score"] = {"name": self.score.key, "unit": self.score.unit}
         return ProblemFacts(
             self.space,
             self.preset(preset).budget,
@@ -365,6 +384,7 @@ class CMDP:
             trainer,
             self.horizon,
             chosen.trial,
+            Beside(self.metrics, self.baselines),
         )
 
     def recipe(

@@ -33,6 +33,7 @@ def content(subject: Subject) -> dict[str, Any]:
         "baselines": {name: np.asarray(rows) for name, rows in subject.baselines.items()},
         "levels": dict(subject.levels),
         "rows": history.rows,
+        "columns": dict(subject.columns),
     }
     if subject.measured is not None and subject.sources is not None:
         found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
-from mbtl.report import beside
-from mbtl.report.reference import reference_curves
+from mbtl.report.reference import REFERENCE_NAMES, reference_curves
 from mbtl.report.summary import StudySummary, summarise_study
 from mbtl.report.text import lines
 from mbtl.routing import Routing
@@ -50,6 +49,7 @@ class Subject:
         finished: nothing will change any more.
         headline: what comes first: V, and the same as a return, beside what needs no training.
         next_steps: what to do now and its command, in that order.
+        columns: what the table of contexts shows beside performance, (N,) by head.
     """
 
     kind: str
@@ -72,6 +72,7 @@ class Subject:
     finished: bool = True
     headline: tuple[str, ...] = ()
     next_steps: tuple[tuple[str, str], ...] = ()
+    columns: Mapping[str, Array] = field(default_factory=dict)
 
 
 def of_study(study: Study) -> Subject:
@@ -108,14 +109,31 @@ def of_study(study: Study) -> Subject:
         {} if curves is None else curves.levels,
         (
             *lines(summary, space),
-            *beside.sentences(study.folder),
             *([] if curves is None else [curves.said]),
         ),
         provenance=made,
         finished=study.is_finished,
         headline=_headline(study, summary, {} if curves is None else curves.levels),
         next_steps=_next_steps(study, summary),
+        columns=_columns(study, summary),
     )
+
+
+def _columns(study: Study, summary: StudySummary) -> dict[str, Array]:
+    """Score, metrics and baselines of each context on fresh episodes, where a score has a name."""
+    fresh, (name, unit) = study.state.fresh, summary.score
+    if fresh is None or not (fresh.baselines or fresh.units or unit):
+        return {}
+    score = f"{name} [{unit}]" if unit else name
+    own = fresh.metrics.get("policies", {})
+    return {
+        score: fresh.served.mean(axis=1),
+        **{f"{n} [{fresh.units[n]}]" if fresh.units[n] else n: means for n, means in own.items()},
+        **{
+            f"{REFERENCE_NAMES.get(who, who)}: {score}": returns.mean(axis=1)
+            for who, returns in fresh.baselines.items()
+        },
+    }
 
 
 def _headline(study: Study, summary: StudySummary, levels: Mapping[str, float]) -> tuple[str, ...]:
@@ -126,9 +144,9 @@ def _headline(study: Study, summary: StudySummary, levels: Mapping[str, float]) 
         return ()
     margin = summary.fresh_margin if fresh else summary.value_margin
     bar = f" +- {margin:.3f}" if margin else ""
-    told = float(study.bounds.denormalise(np.array(v)))
-    said = [f"V = {v:.3f}{bar}", f"a mean return of {told:.4g} over the contexts"]
-    without = [f"{name} {value:.3f}" for name, value in levels.items()]
+    said = [f"V = {v:.3f}{bar}", f"{summary.returned(v)} over the contexts"]
+    own = {REFERENCE_NAMES.get(one.name, one.name): one.value for one in summary.baselines}
+    without = [f"{name} {value:.3f}" for name, value in (own or levels).items()]
     return (*said, *([f"without training: {', '.join(without)}"] if without else []))
 
 

@@ -15,9 +15,10 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.objective import value, worst_share_mean
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.study import Study, Training
-from mbtl.study.closing_report import fresh_value
-from mbtl.study.records import ToldRow
+from mbtl.study.closing_report import Baseline, fresh_value
+from mbtl.study.records import FreshReturns, ToldRow
 
 TENTH = 0.1
 ENOUGH_GAIN = 0.01
@@ -65,6 +66,11 @@ class StudySummary:
         single_gain_margin: half its 95 % interval; None where unknown.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
         serving: (N,) place of the policy that serves each context.
+        baselines: what V is compared with, on the same fresh episodes.
+        score: what an episode is worth, for people: a name and its unit.
+        metrics: mean over the contexts that were played, by who ("policies", or a baseline), then
+            by measure.
+        metric_units: of each measure.
     """
 
     problem: str
@@ -100,6 +106,10 @@ class StudySummary:
     served_by_others: int | None
     most_needed: str | None
     serving: tuple[int, ...]
+    baselines: tuple[Baseline, ...]
+    score: tuple[str, str]
+    metrics: Mapping[str, Mapping[str, float]]
+    metric_units: Mapping[str, str]
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
@@ -110,6 +120,29 @@ class StudySummary:
     def told(self) -> list[Training]:
         """Those whose rows are known."""
         return [pick for pick in self.picks if pick.place is not None]
+
+    def returned(self, performance: float) -> str:
+        """What a performance is in the unit of the score, e.g. "a mean delay of 21.3 s/veh"."""
+        low, high = self.bounds
+        name, unit = self.score
+        said = f"a mean {name} of {low + performance * (high - low):.4g}"
+        return f"{said} {unit}" if unit else said
+
+    @property
+    def worth_it(self) -> str:
+        """Whether training was worth it, beside the best baseline; empty where there is none."""
+        if not self.baselines or self.fresh_value is None:
+            return ""
+        best = max(self.baselines, key=lambda one: one.value)
+        margin = best.lead_margin
+        bar = f" +- {margin:.4f}" if margin else ""
+        name = REFERENCE_NAMES.get(best.name, best.name)
+        name = f"{name!r} (V {best.value:.4f}, {self.returned(best.value)})"
+        if margin is None or abs(best.lead) <= margin:
+            return f"Training adds nothing sure to {name}: {best.lead:+.4f}{bar}."
+        if best.lead > 0.0:
+            return f"Training is worth it: {best.lead:.4f}{bar} ahead of {name}."
+        return f"Training is not worth it so far: {-best.lead:.4f}{bar} behind {name}."
 
     @property
     def verdict(self) -> str:
@@ -161,6 +194,10 @@ def summarise_study(study: Study) -> StudySummary:
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
         "picks": tuple(sorted(trainings, key=_told_first)),
+        "baselines": () if fresh is None else fresh.baselines,
+        "score": _score_of(study),
+        "metrics": _metrics(state.fresh, weights),
+        "metric_units": {} if state.fresh is None else dict(state.fresh.units),
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
@@ -201,6 +238,25 @@ def summarise_study(study: Study) -> StudySummary:
         most_needed=space.describe(space.context(int(others.argmax()))),
         serving=tuple(routing.route.tolist()),
     )
+
+
+def _score_of(study: Study) -> tuple[str, str]:
+    """Name and unit; a log may be a stranger's."""
+    record = study.spec.settings.get("score")
+    record = record if isinstance(record, Mapping) else {}
+    return str(record.get("name", "return")), str(record.get("unit", ""))
+
+
+def _metrics(fresh: FreshReturns | None, weights: Array) -> dict[str, dict[str, float]]:
+    """Means over the contexts that were played and told a measure, by their weights."""
+    found: dict[str, dict[str, float]] = {}
+    for who, measures in ({} if fresh is None else fresh.metrics).items():
+        for name, means in measures.items():
+            there = np.isfinite(means)
+            if weights[there].sum() > 0.0:
+                own = found.setdefault(who, {})
+                own[name] = float(np.average(means[there], weights=weights[there]))
+    return found
 
 
 def _told_first(one: Training) -> tuple[bool, int]:

@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.contexts import ContextSpace
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.report.summary import StudySummary
 from mbtl.study.budget import counted
 
@@ -57,7 +58,10 @@ def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> 
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
-    out = [f"Scores are scaled: a return of {worst:g} counts as 0, one of {best:g} as 1."]
+    first = [summary.worth_it] if summary.worth_it else []
+    name, unit = summary.score
+    what = f"{worst:g} {unit}".rstrip()
+    out = [f"Scores are scaled: a {name} of {what} counts as 0, one of {best:g} as 1."]
     if summary.episodes is not None and summary.evaluated is not None:
         out[0] += f" {_evaluated(summary)}."
     if summary.automatic_bounds:
@@ -80,6 +84,7 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
             sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
         out.append(f"{sentence}.")
     out.append(summary.verdict)
+    out += _compared(summary)
     out += [_same(group) for group in summary.alike]
     if summary.bill is not None and summary.steps is not None:
         parts = {
@@ -95,7 +100,24 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         out.append(f"Spent: {summary.spent}.")
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
-    return out
+    return first + out
+
+
+def _compared(summary: StudySummary) -> list[str]:
+    """V and metrics of the policies and of each baseline, a line each."""
+    if not (summary.baselines or summary.metrics) or summary.fresh_value is None:
+        return []
+    values = {"policies": summary.fresh_value} | {b.name: b.value for b in summary.baselines}
+    said = []
+    for who, v in values.items():
+        told = summary.metrics.get(who, {})
+        rest = [
+            f"{name} {mean:.4g} {summary.metric_units[name]}".rstrip()
+            for name, mean in told.items()
+        ]
+        name = REFERENCE_NAMES.get(who, who)
+        said.append(f"{name}: " + ", ".join([f"V {v:.4f}", summary.returned(v), *rest]))
+    return said
 
 
 def _evaluated(summary: StudySummary) -> str:

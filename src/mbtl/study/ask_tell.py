@@ -10,7 +10,7 @@ import math
 import random
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
@@ -37,6 +37,7 @@ from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
 from mbtl.study.leases import Lease, Presence, Watch, new_worker
+from mbtl.study.problem import Beside
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
@@ -104,6 +105,7 @@ class AskTell:
         folder: Path | ArtifactStore | None,
         name: str = "study",
         trainer: Trainer | None = None,
+        beside: Beside | None = None,
         state: StudyState | None = None,
     ) -> None:
         """Use `create_study` or `load_study`; the log must hold a `created` event.
@@ -113,6 +115,7 @@ class AskTell:
         self.name = name
         self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
         self.trainer = trainer
+        self.beside = beside or Beside()
         self.policies: dict[int, Any] = {}
         self.untold: dict[int, Kept] = {}
         self.stopping: str | None = None
@@ -145,6 +148,7 @@ class AskTell:
             "folder": self.artifacts,
             "name": self.name,
             "trainer": self.trainer,
+            "beside": self.beside,
         }
         return partial(type(self), **given), (self.log, self.selector)
 
@@ -666,7 +670,14 @@ class AskTell:
         self._commit(extended)
 
     def record_fresh_returns(
-        self, served: ArrayLike, alone: ArrayLike, *, best_single: int, rows: int | None = None
+        self,
+        served: ArrayLike,
+        alone: ArrayLike,
+        *,
+        best_single: int,
+        baselines: Mapping[str, Array] | None = None,
+        metrics: Array | None = None,
+        rows: int | None = None,
     ) -> None:
         """Record returns on fresh evaluation seeds.
 
@@ -675,23 +686,35 @@ class AskTell:
                 played, as `mbtl.study.closing_report` draws them.
             alone: (N, E) of the best single policy, on the same episodes.
             best_single: its place among the rows.
+            baselines: name -> (N, E) on the same episodes of what V is compared with.
+            metrics: (1 + baselines, measures, N) means of the study's `beside.metrics`, of the
+                policies that serve and of each baseline; None where nothing is measured.
             rows: how many rows these are the routes of; None: those there are.
 
         Raises:
             StudyError: of another shape, or rows were told since, which the report would not fit.
         """
+        others, units = dict(baselines or {}), {} if metrics is None else dict(self.beside.metrics)
         arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
         rows = len(self.refresh().rows) if rows is None else rows
+        shapes = [array.shape for array in (*arrays.values(), *others.values())]
+        if others:
+            arrays["baselines"] = np.array([*others.values()], float)
+        if units:
+            arrays["metrics"] = np.asarray(metrics, float)
 
         def reported(state: StudyState) -> Event:
-            shapes = [array.shape for array in arrays.values()]
             n, told = self.space.n, len(state.rows)
             if told != rows or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != n:
                 raise StudyError(
                     f"fresh returns must have shape ({n}, episodes) and be of the {told} policies "
                     f"told, got {shapes} of {rows}; evaluate again"
                 )
-            data = {"episodes": shapes[0][1], "best_single": int(best_single)}
+            data: dict[str, Any] = {"episodes": shapes[0][1], "best_single": int(best_single)}
+            if others:
+                data["baselines"] = [*others]
+            if units:
+                data["metrics"] = units
             return Event("reported", data, arrays)
 
         self._commit(reported)

@@ -226,6 +226,8 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "reported": {
             "episodes": COUNT,
             "best_single": number(lambda i: i < rows, f"the place of one of the {rows} rows"),
+            "baselines": or_null((each(is_text), "a list of names")),
+            "metrics": or_null(RECORD),
         },
     }
     return table.get(event.kind, {})
@@ -241,5 +243,12 @@ def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
         targets = event.data.get("targets")
         return {"returns": (n if targets is None else len(targets), event.data["episodes"])}
     if kind == "reported":
-        return dict.fromkeys(("served", "alone"), (n, event.data["episodes"]))
+        data, played = event.data, (n, event.data["episodes"])
+        shapes: dict[str, tuple[int, ...]] = {"served": played, "alone": played}
+        others, measures = len(data.get("baselines") or ()), len(data.get("metrics") or ())
+        if others:
+            shapes["baselines"] = (others, *played)
+        if measures:
+            shapes["metrics"] = (1 + others, measures, n)
+        return shapes
     return {}

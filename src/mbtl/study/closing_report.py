@@ -10,7 +10,7 @@ Notation (shapes): k policies in training order, N contexts, n of them played, E
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,8 @@ Indices = NDArray[np.intp]
 
 CHEAP, SHARE = 200, 0.25
 """Evaluations that a report may cost where the study cost as many, and the share of the study's
-that it may cost beyond. 100 contexts make V's interval less than half as wide as the running
-estimate's, 50 do not (docs/results.md)."""
+that it may cost beyond; baselines are not counted. 100 contexts make V's interval less than half as
+wide as the running estimate's, 50 do not (docs/results.md)."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class FreshValue:
         best_single: place of the best single policy, by the rows that routed.
         gain: V less its own V, on the same episodes.
         gain_margin: half the 95 % interval of that; None likewise.
+        baselines: what V is compared with.
     """
 
     value: float
@@ -52,6 +53,24 @@ class FreshValue:
     best_single: int
     gain: float
     gain_margin: float | None
+    baselines: tuple[Baseline, ...] = ()
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What goes without a policy of the study.
+
+    Attributes:
+        name: for people.
+        value: its V.
+        lead: V of the study less that, on the same episodes.
+        lead_margin: half the 95 % interval of the lead; None: unknown, from one episode each.
+    """
+
+    name: str
+    value: float
+    lead: float
+    lead_margin: float | None
 
 
 @dataclass(frozen=True)
@@ -62,11 +81,13 @@ class ReportPlan:
         route: (N,) places of the policies that serve.
         best_single: place of the best single policy.
         contexts: (n,) where both are evaluated.
+        baselines: how many are played there, too.
     """
 
     route: Indices
     best_single: int
     contexts: Indices
+    baselines: int = 0
 
     def __str__(self) -> str:
         n = len(self.route)
@@ -76,6 +97,11 @@ class ReportPlan:
     @property
     def evaluations(self) -> int:
         """Of one policy on one context each."""
+        return self.of_policies + self.baselines * self.contexts.size
+
+    @property
+    def of_policies(self) -> int:
+        """Of those, the study's own."""
         return sum(self.targets(policy).size for policy in self.policies)
 
     @property
@@ -90,28 +116,34 @@ class ReportPlan:
         return np.asarray(self.contexts[self.route[self.contexts] == policy])
 
 
-def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
+def plan_of(state: StudyState, *, whole: bool = False, baselines: int = 0) -> ReportPlan:
     """What the closing report of a study evaluates now: who serves, and the best single policy.
 
     Args:
         state: of the study, with a row or more.
+        baselines: how many are played beside them.
         whole: play all contexts, however many evaluations the study itself has made.
     """
     spec = state.spec
     routing, weights = state.routing(), spec.space.weights
-    every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights))
+    every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights), baselines)
     played = sum(int(np.isfinite(row.returns).sum()) for row in state.rows)
     allowed = min(played, max(CHEAP, int(SHARE * played)))
-    if whole or every.evaluations <= allowed:
+    if whole or every.of_policies <= allowed:
         return every
     each = 1 if len(every.policies) == 1 else 2
     rng = np.random.default_rng(derive_seed(spec.seed, Purpose.REPORT, spec.trial))
     some = drawn(chances(weights, max(allowed // each, 2)), rng)
-    return ReportPlan(every.route, every.best_single, some)
+    return ReportPlan(every.route, every.best_single, some, baselines)
 
 
 def plan_to_do(
-    state: StudyState, in_memory: Iterable[int], *, whole: bool = False
+    state: StudyState,
+    in_memory: Iterable[int],
+    *,
+    whole: bool = False,
+    baselines: Collection[str] = (),
+    metrics: Collection[str] = (),
 ) -> ReportPlan | None:
     """The plan, if it is not done already and every policy that it needs is at hand.
 
@@ -121,12 +153,17 @@ def plan_to_do(
         state: of the study.
         in_memory: places of the policies that are there, though not saved.
         whole: as of `plan_of`.
+        baselines: names of what is to be played beside them.
+        metrics: names of what is to be measured.
     """
-    if not state.rows or state.spec.risk < 1.0 or (state.fresh is not None and not whole):
+    if not state.rows or state.spec.risk < 1.0:
         return None
-    plan = plan_of(state, whole=whole)
-    if state.fresh is not None and _played(state.fresh.served)[plan.contexts].all():
-        return None
+    fresh, plan = state.fresh, plan_of(state, whole=whole, baselines=len(baselines))
+    known = fresh is not None and {*baselines} <= {*fresh.baselines}
+    if fresh is not None and known and {*metrics} <= {*fresh.units}:
+        enough = not whole or _played(fresh.served)[plan.contexts].all()
+        if enough:
+            return None
     saved = {place for place, row in enumerate(state.rows) if row.policy}
     return plan if saved.union(in_memory).issuperset(plan.policies) else None
 
@@ -154,8 +191,15 @@ def fresh_value(state: StudyState) -> FreshValue | None:
     value, margin = estimated(each, served, weights)
     gain, gain_margin = estimated(lead, served - alone, weights)
     each[there] = served[there].mean(axis=1)
-    count = int(there.sum())
-    return FreshValue(value, margin, served.shape[1], count, each, best, gain, gain_margin)
+    count, others = int(there.sum()), list[Baseline]()
+    for name, returns in fresh.baselines.items():
+        difference = served - bounds.normalise(returns)
+        usual = np.full(len(weights), difference[there].mean())  # nothing is believed of it
+        ahead, bar = estimated(usual, difference, weights)
+        others.append(Baseline(name, value - ahead, ahead, bar))
+    return FreshValue(
+        value, margin, served.shape[1], count, each, best, gain, gain_margin, tuple(others)
+    )
 
 
 # ---- a sample of the contexts --------------------------------------------------------------------

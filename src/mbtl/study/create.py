@@ -24,7 +24,7 @@ from mbtl.study.checks import replay
 from mbtl.study.database import fixed_url, shown
 from mbtl.study.events import Event
 from mbtl.study.listing import chosen_name, database_at
-from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
+from mbtl.study.problem import Beside, Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec, check_spec
 from mbtl.study.state import StudyState
@@ -125,10 +125,11 @@ def create_study(
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
+    known: dict[str, Any] = {"trainer": facts.trainer, "beside": facts.beside}
     try:
         log.append(Event("created", created), after=0)
     except Conflict:
-        study = Study(log, chosen, folder=folder, name=name, trainer=facts.trainer)
+        study = Study(log, chosen, folder=folder, name=name, **known)
         if not load_if_exists:
             raise StudyError(
                 f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
@@ -138,7 +139,7 @@ def create_study(
         if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
             study.extend(spec.budget if spec.steps is None else Steps(spec.steps))
         return study
-    return Study(log, chosen, folder=folder, name=name, trainer=facts.trainer)
+    return Study(log, chosen, folder=folder, name=name, **known)
 
 
 def _given(name: str, given: Any, usual: Any, *kinds: type) -> Any:
@@ -264,14 +265,14 @@ def load_study(
     if not events:
         raise StudyError(f"there is no study {name!r} in {shown(place)}")
     state = replay(events)
-    spec = state.spec
+    spec, beside = state.spec, Beside()
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
         check_problem(spec, facts)
-        trainer = facts.trainer
+        trainer, beside = facts.trainer, facts.beside
     chosen = _strategy_then(spec, strategy)
     folder = policy_store(place, artifacts)
-    return Study(log, chosen, folder=folder, name=name, trainer=trainer, state=state)
+    return Study(log, chosen, folder=folder, name=name, trainer=trainer, beside=beside, state=state)
 
 
 def _facts_then(problem: Problem, spec: StudySpec, trainer: Trainer | None) -> ProblemFacts:

@@ -15,6 +15,19 @@ from mbtl.trainers.contract import Trainer
 
 
 @dataclass(frozen=True)
+class Beside:
+    """What people see beside V, of the same episodes.
+
+    Attributes:
+        metrics: unit by name of a measure.
+        baselines: what V is compared with, by name (`mbtl.CMDP.baselines`).
+    """
+
+    metrics: Mapping[str, str] = field(default_factory=dict)
+    baselines: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ProblemFacts:
     """Settings of a study that belong to its problem.
 
@@ -30,6 +43,7 @@ class ProblemFacts:
         trainer: trains where no other is given; None: there is none.
         horizon: longest episode in environment steps; None: not known.
         trial: which repetition of the same problem this is.
+        beside: what stands beside V.
     """
 
     space: ContextSpace
@@ -43,6 +57,7 @@ class ProblemFacts:
     trainer: Trainer | None = None
     horizon: int | None = None
     trial: int = 0
+    beside: Beside = field(default_factory=Beside)
 
 
 @runtime_checkable

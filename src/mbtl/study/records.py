@@ -233,8 +233,15 @@ class FreshReturns:
         served: (N, E) of the policies that serve, raw units; NaN where a context was not played.
         alone: (N, E) of the best single policy, on the same episodes.
         best_single: its place among the rows.
+        baselines: name -> (N, E) of what V is compared with, on the same episodes.
+        units: of what is measured beside the score, by name.
+        metrics: name -> (N,) mean of each measure, of the policies that serve, as "policies", and
+            of the baselines; NaN where a context was not played or did not tell it.
     """
 
     served: Array
     alone: Array
     best_single: int
+    baselines: Mapping[str, Array] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)

@@ -504,8 +504,18 @@ class StudyState:
         self.proposing = None
 
     def _reported(self, event: Event) -> None:
-        arrays = event.arrays
-        self.fresh = FreshReturns(arrays["served"], arrays["alone"], event.data["best_single"])
+        arrays, data = event.arrays, event.data
+        names, units = data.get("baselines") or [], data.get("metrics") or {}
+        who = ["policies", *names]
+        self.fresh = FreshReturns(
+            arrays["served"],
+            arrays["alone"],
+            data["best_single"],
+            dict(zip(names, arrays.get("baselines", ()), strict=True)),
+            units,
+            {w: dict(zip(units, m, strict=True))
+             for w, m in zip(who, arrays["metrics"], strict=True)} if units else {},
+        )  # fmt: skip
 
 
 def _lease_of(event: Event) -> Lease:

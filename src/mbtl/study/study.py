@@ -11,7 +11,7 @@ import shlex
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -33,11 +33,12 @@ from mbtl.errors import (
 from mbtl.faults import FAULTS, reason_of, say
 from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
+from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure, few_episodes
-from mbtl.study.closing_report import FreshValue, ReportPlan, fresh_value, plan_to_do
+from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
 from mbtl.study.database import database_file, shown
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
@@ -47,6 +48,7 @@ from mbtl.study.time_limits import at_most, too_long
 from mbtl.study.trainings import Trainings
 from mbtl.trainers.contract import (
     FunctionTrainer,
+    MeasuringTrainer,
     Progress,
     RehearsingTrainer,
     Trainer,
@@ -140,6 +142,7 @@ class Study(AskTell):
         artifacts: keeps the policies; None: they cannot be kept.
         database: its file; None: it is on a server, or in memory.
         trainer: trains and reads policies where no other is given.
+        beside: what people see beside V, measured by the closing report.
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
         policies: number of the row -> policy, for policies of this process that were not saved.
@@ -476,8 +479,8 @@ def run(
             finally:
                 batches.give_back_held()
         _check_any_success(study)
-        if report and (plan := plan_to_do(study.state, study.policies, whole=report == "all")):
-            _report(study, trainer, plan, announce, workers.timeout)
+        if report:
+            _report(study, trainer, announce, workers.timeout, whole=report == "all")
     finally:
         announce("on_end")
     return RunResult(
@@ -574,17 +577,24 @@ def _wait_for_others(
 def _report(
     study: Study,
     trainer: Trainer,
-    plan: ReportPlan,
     announce: Callable[..., None],
     timeout: float | None,
+    *,
+    whole: bool,
 ) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
-    failed = partial(announce, "on_report_failed")
-    announce("on_report", plan)
+    failed, beside = partial(announce, "on_report_failed"), study.beside
+    planned = partial(plan_to_do, study.state, study.policies, whole=whole, metrics=beside.metrics)
+    if planned(baselines=beside.baselines) is None:
+        return
     told = len(study.state.rows)
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
-        _play(study, trainer, plan, timeout, stuck)
+        baselines = _baselines(study, trainer)
+        plan = planned(baselines=baselines)
+        assert plan is not None  # more baselines are more to do
+        announce("on_report", plan)
+        _play(study, trainer, plan, baselines, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
@@ -642,6 +652,7 @@ def _play(
     study: Study,
     trainer: Trainer,
     plan: ReportPlan,
+    baselines: Mapping[str, Any],
     timeout: float | None = None,
     on_stuck: Callable[[], None] | None = None,
 ) -> None:
@@ -651,24 +662,58 @@ def _play(
         study: that the plan is of.
         trainer: reads and evaluates the policies.
         plan: see `plan_of`.
+        baselines: what is played beside them, by name.
         timeout: seconds for each policy; None: no limit.
         on_stuck: see `mbtl.study.time_limits.at_most`.
     """
-    rows, portfolio = len(study.state.rows), study.portfolio(trainer)
-    found: dict[int, Array] = {}
-    for i in plan.policies:
-        targets = plan.targets(i)
+    rows, portfolio, n = len(study.state.rows), study.portfolio(trainer), study.space.n
+    names = tuple(study.beside.metrics)
+
+    def play(policy: Any, targets: Indices, *, own: bool = True) -> tuple[Array, Array]:
+        """(n, E) returns, (measures, n) means; of a policy of the study or of a baseline."""
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
+        told: Mapping[str, Array] = {}
         with at_most(timeout, on_stuck):
-            returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
-        named = study.space.named(targets)
-        found[i] = completed(checked_returns(returns, targets.size, named))
-    episodes = min(returns.shape[1] for returns in found.values())
-    served, alone = np.full((2, study.space.n, episodes), np.nan)
-    alone[plan.contexts] = found[plan.best_single][:, :episodes]
-    for i, returns in found.items():
+            if isinstance(trainer, MeasuringTrainer) and (names or not own):
+                told = trainer.measure(policy, contexts, seeds, names)
+                returns = told[SCORE]
+            else:
+                returns = trainer.evaluate(policy, contexts, seeds)
+        blank = np.full((targets.size, 1), np.nan)
+        means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
+        returns = checked_returns(returns, targets.size, study.space.named(targets))
+        return completed(returns), np.reshape(means, (len(names), targets.size))
+
+    found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
+    others = [play(policy, plan.contexts, own=False) for policy in baselines.values()]
+    episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others))
+    served, alone = np.full((2, n, episodes), np.nan)
+    metrics = np.full((1 + len(others), len(names), n), np.nan)
+    alone[plan.contexts] = found[plan.best_single][0][:, :episodes]
+    for i, (returns, means) in found.items():
         targets = plan.targets(i)
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
-    study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
+        metrics[0][:, targets[mine]] = means[:, mine]
+    compared = {name: np.full((n, episodes), np.nan) for name in baselines}
+    for k, (name, (returns, means)) in enumerate(zip(baselines, others, strict=True)):
+        compared[name][plan.contexts] = returns[:, :episodes]
+        metrics[1 + k][:, plan.contexts] = means
+    study.record_fresh_returns(
+        served,
+        alone,
+        best_single=plan.best_single,
+        baselines=compared,
+        metrics=metrics if names else None,
+        rows=rows,
+    )
+
+
+def _baselines(study: Study, trainer: Trainer) -> dict[str, Any]:
+    """What V is compared with, by name: what the system can do by itself, and the user's own."""
+    if not isinstance(trainer, MeasuringTrainer):
+        return dict(study.beside.baselines)
+    ways = trainer.ways([study.space.context(0)])
+    own = {way: way for way in ways if way != RANDOM_ACTIONS}
+    return {**own, **study.beside.baselines}

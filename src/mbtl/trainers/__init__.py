@@ -13,12 +13,13 @@ from mbtl.trainers.contract import (
     CountingTrainer,
     FunctionTrainer,
     ManyTrainer,
+    MeasuringTrainer,
     OnProgress,
     Progress,
-    ReferenceTrainer,
     RehearsingTrainer,
     Trained,
     Trainer,
+    reference_rows,
 )
 
 if TYPE_CHECKING:
@@ -31,15 +32,16 @@ __all__ = [
     "CountingTrainer",
     "FunctionTrainer",
     "ManyTrainer",
+    "MeasuringTrainer",
     "OnProgress",
     "Progress",
-    "ReferenceTrainer",
     "RehearsingTrainer",
     "SB3Trainer",
     "Trained",
     "Trainer",
     "export_mlp",
     "load_sb3",
+    "reference_rows",
 ]
 
 _HOMES = {

@@ -25,6 +25,7 @@ from mbtl.contexts import Context
 from mbtl.episodes import episode_moments
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 from mbtl.plain import LARGEST, floats, refused
+from mbtl.score import SCORE
 from mbtl.settings import described, described_code
 
 __all__ = [
@@ -32,9 +33,9 @@ __all__ = [
     "CountingTrainer",
     "FunctionTrainer",
     "ManyTrainer",
+    "MeasuringTrainer",
     "OnProgress",
     "Progress",
-    "ReferenceTrainer",
     "RehearsingTrainer",
     "Trained",
     "Trainer",
@@ -44,6 +45,7 @@ __all__ = [
     "completed",
     "even_groups",
     "recipe_of",
+    "reference_rows",
     "refusal",
 ]
 
@@ -276,16 +278,34 @@ def even_groups(count: int, most: int) -> list[int]:
 
 
 @runtime_checkable
-class ReferenceTrainer(Protocol):
-    """A trainer that knows what its system gives without any policy of ours."""
+class MeasuringTrainer(Protocol):
+    """A trainer that can tell more of an episode than its score, and play it without a policy."""
 
-    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
-        """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with these seeds.
+    def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
+        """How its system goes without any policy of ours.
 
         "random_actions"; "unguided", the system without a controller, where there is one; and the
         system's own controllers.
         """
         ...
+
+    def measure(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int], names: Sequence[str]
+    ) -> dict[str, Array]:
+        """(n_targets, n_episodes) each: "score", as of `evaluate`, and what is told by these names.
+
+        The policy may be one of `ways`, and a controller: a function of an observation that returns
+        an action. A measure is NaN in an episode that does not tell it.
+        """
+        ...
+
+
+def reference_rows(
+    trainer: MeasuringTrainer, contexts: Sequence[Context], seeds: Sequence[int]
+) -> dict[str, Array]:
+    """(n_targets, n_episodes) returns without any policy, by way, in the episodes of `evaluate`."""
+    ways = trainer.ways(contexts)
+    return {way: trainer.measure(way, contexts, seeds, ())[SCORE] for way in ways}
 
 
 @dataclass(frozen=True)
@@ -294,7 +314,7 @@ class FunctionTrainer:
 
         train(context, seed) -> policy                                 # specialists, whole
         train(contexts, seed, *, start=None, length=None) -> policy    # everything
-        evaluate(policy, contexts, seeds) -> returns
+        evaluate(policy, contexts, seeds) -> returns, or a mapping of them by name
 
     `contexts` is a list of one or more, `start` a copy of a policy to begin with, `length` how much
     more to train, in units of a whole training (None: a whole one), and `on_progress` is told a
@@ -310,6 +330,7 @@ class FunctionTrainer:
         evaluate_fn: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes).
         save_fn: policy, folder -> None; without it policies are kept in memory only.
         load_fn: folder -> policy.
+        score: which name of a mapping is what an episode is worth.
     """
 
     train_fn: Callable[..., Any]
@@ -317,6 +338,7 @@ class FunctionTrainer:
     save_fn: Callable[[Any, Path], None] | None = None
     load_fn: Callable[[Path], Any] | None = None
     policy_format: str = "custom"
+    score: str | None = None
 
     whole: ClassVar[int | None] = None
     counts: ClassVar[Literal["steps", "episodes"]] = "steps"
@@ -391,27 +413,60 @@ class FunctionTrainer:
         """Call `evaluate_fn` with what it takes.
 
         Raises:
-            TrainingFailed: called context by context, it gave other numbers of episodes.
+            TrainingFailed: called context by context, it gave other numbers of episodes, or it
+                gave a mapping without the score.
         """
+        return self._told(policy, contexts, seeds)[SCORE]
+
+    def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
+        """None: functions know policies alone."""
+        return ()
+
+    def measure(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int], names: Sequence[str]
+    ) -> dict[str, Array]:
+        """What `evaluate_fn` tells where it returns a mapping."""
+        told, n = self._told(policy, contexts, seeds), len(contexts)
+        score = checked_returns(told[SCORE], n)
+        own = {name: np.reshape(told[name], (n, -1)) for name in names if name in told}
+        return {SCORE: score, **own}
+
+    def _told(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
+    ) -> dict[str, Array]:
+        """All that `evaluate_fn` returns, by name."""
         takes = _luck_of(self.evaluate_fn)
 
-        def returns(some: Sequence[Context], luck: Any) -> Any:
+        def returns(some: Sequence[Context], luck: Any) -> dict[str, Any]:
             if takes is None:
-                return self.evaluate_fn(policy, some)
-            if takes.kind is takes.POSITIONAL_ONLY:
-                return self.evaluate_fn(policy, some, luck)
-            return self.evaluate_fn(policy, some, **{takes.name: luck})
+                found = self.evaluate_fn(policy, some)
+            elif takes.kind is takes.POSITIONAL_ONLY:
+                found = self.evaluate_fn(policy, some, luck)
+            else:
+                found = self.evaluate_fn(policy, some, **{takes.name: luck})
+            return self._named(found)
 
         if takes is None or takes.name != "seed":
-            return floats(returns(contexts, seeds))
-        each = zip(contexts, seeds, strict=True)
-        rows = [checked_returns(returns([c], seed), 1, _always(c))[0] for c, seed in each]
-        if len(lengths := {len(row) for row in rows}) > 1:
+            return {name: floats(rows) for name, rows in returns(contexts, seeds).items()}
+        each = [returns([c], seed) for c, seed in zip(contexts, seeds, strict=True)]
+        for context, told in zip(contexts, each, strict=True):
+            told[SCORE] = checked_returns(told[SCORE], 1, _always(context))
+        if len(lengths := {told[SCORE].shape[1] for told in each}) > 1:
             raise TrainingFailed(
                 "every context must have as many episodes as the others, got "
                 f"{min(lengths)} to {max(lengths)}; return as many each time"
             )
-        return np.array(rows)
+        return {name: np.vstack([np.reshape(t[name], (1, -1)) for t in each]) for name in each[0]}
+
+    def _named(self, found: Any) -> dict[str, Any]:
+        if not isinstance(found, Mapping):
+            return {SCORE: found}
+        if self.score not in found:
+            raise TrainingFailed(
+                f"of what evaluate returns by name one is the score, got {self.score!r} of "
+                f"{sorted(map(str, found))}; name it, score=mbtl.Score(...)"
+            )
+        return {**found, SCORE: found[self.score]}
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Call `save_fn` if there is one."""

@@ -16,11 +16,11 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.references import measured, reference_rows
-from mbtl.envs.rollout import Job, end, one_instance, play_counted
+from mbtl.envs.references import Controller, going, ways_in
+from mbtl.envs.rollout import Actor, Job, end, one_instance, play_counted
 from mbtl.errors import InvalidInput, Notice, unknown_name
 from mbtl.processes import usable_cores
-from mbtl.score import Score
+from mbtl.score import SCORE, Score
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
 from mbtl.settings import described
 from mbtl.trainers.algorithms import algorithm_class, check_name, checked_hyperparameters
@@ -292,43 +292,51 @@ class SB3Trainer:
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
-        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
-        with isolated(self.threads):
-            actor = actor_for(policy, sampled=self.acting == "sampled")
-            open_env, most = self._evaluation(contexts)
-            pairs = zip(contexts, each, strict=True)
-            jobs = [Job(partial(open_env, one), own, self._score) for one, own in pairs]
-            found, lasted = play_counted(jobs, actor, max_envs=most)
-        returns = [rows[:, 0] for rows in found]
-        shape = (len(jobs), self.eval_episodes)
-        return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
+        found, lasted = self._play(policy, contexts, seeds)
+        shape = (len(contexts), self.eval_episodes)
+        returns = np.reshape([rows[:, 0] for rows in found], shape)
+        return checked_returns(returns, len(contexts)), np.reshape(lasted, shape)
 
-    def reference_rows(
-        self, contexts: Sequence[Context], seeds: Sequence[int] | int
-    ) -> dict[str, Array]:
-        """See `mbtl.trainers.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
-        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
-        open_env, envs = self._evaluation(contexts)
-        return reference_rows(open_env, contexts, each, max_envs=envs, score=self._score)
+    def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
+        """See `mbtl.trainers.MeasuringTrainer`; `mbtl.envs.references` has what is unguided."""
+        return ways_in(self.opener(contexts, 1)[0], contexts[0])
 
-    def beside(
+    def measure(
         self,
-        policies: Sequence[Any],
-        contexts: Sequence[Sequence[Context]],
+        policy: Any,
+        contexts: Sequence[Context],
         seeds: Sequence[int] | int,
-        names: Sequence[str],
-    ) -> dict[str, dict[str, Array]]:
-        """What `info` tells beside the score of one episode each; see `WorldTrainer.beside`."""
-        every = [context for some in contexts for context in some]
-        each = episode_seeds(seeds, len(every), 1)
+        names: Sequence[str] = (),
+    ) -> dict[str, Array]:
+        """What the `info` of the last steps tells; see `mbtl.trainers.MeasuringTrainer`.
+
+        Episodes are played to their end also where their score is foretold.
+        """
+        found, _ = self._play(policy, contexts, seeds, names)
+        return dict(zip((SCORE, *names), np.moveaxis(np.array(found), -1, 0), strict=True))
+
+    def _play(
+        self,
+        policy: Any,
+        contexts: Sequence[Context],
+        seeds: Sequence[int] | int,
+        names: Sequence[str] = (),
+    ) -> tuple[list[Array], list[Array]]:
+        """Per context (episodes, 1 + names), the score first; and how many steps each had."""
+        each, score = episode_seeds(seeds, len(contexts), self.eval_episodes), self._score
+        if names and score is not None:
+            score = replace(score, foretold=None)
         with isolated(self.threads):
-            acting = [
-                (actor_for(policy, sampled=self.acting == "sampled"), some)
-                for policy, some in zip(policies, contexts, strict=True)
-                if some
-            ]
-            open_env, most = self._evaluation(every)
-            return measured(open_env, acting, each, names, max_envs=most, score=self._score)
+            make, most = self._evaluation(contexts)
+            if isinstance(policy, str):
+                actor, make = going(policy, make, contexts[0])
+            elif callable(policy) and not hasattr(policy, "predict"):
+                actor = Actor(Controller(policy))
+            else:
+                actor = actor_for(policy, sampled=self.acting == "sampled")
+            pairs = zip(contexts, each, strict=True)
+            jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
+            return play_counted(jobs, actor, max_envs=most)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbtl.trainers import reference_rows
 from mbtl.zoo.benchmark.build import Build
 
 PAGE = Path(__file__).parents[3] / "docs" / "add-a-family.md"
@@ -33,7 +34,7 @@ def test_a_family_of_one_file_is_trained_and_evaluated_on_all_contexts(problem, 
     building = Build(trainer, problem.space, 0, tmp_path, {}, ("best",), lanes=len(contexts))
     building.run()
     learnt = building.returns("best").mean(axis=2)
-    rows = trainer.reference_rows(contexts, range(5))
+    rows = reference_rows(trainer, contexts, range(5))
     assert learnt.shape == (5, 5)
     assert learnt.max(axis=0).mean() > rows["unguided"].mean() + 5.0
     assert (learnt <= 0.0).all()

@@ -128,9 +128,12 @@ def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
     asked = []
 
     class Compared(FunctionTrainer):
-        def reference_rows(self, contexts, seeds):
+        def ways(self, contexts):
+            return ("unguided",)
+
+        def measure(self, policy, contexts, seeds, names):
             asked.append(seeds)
-            return {"unguided": np.tile([1.0, 2.0], (len(contexts), 1))}
+            return {"score": np.tile([1.0, 2.0], (len(contexts), 1))}
 
     for _ in range(2):
         one = building(tmp_path, Compared(train, evaluate))

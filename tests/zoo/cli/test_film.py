@@ -39,8 +39,8 @@ class Road:
 
 
 def watched(steps=3, **kwargs):
-    beside = {"throughput": "cars/h", "absent": "of what is not told"}
-    take = Watched(Road(steps, **kwargs), filming=True, beside=beside)
+    metrics = {"throughput": "cars/h", "absent": "of what is not told"}
+    take = Watched(Road(steps, **kwargs), filming=True, metrics=metrics)
     take.reset(seed=0)
     for _ in range(steps):
         take.step(0)

@@ -12,6 +12,7 @@ from mbtl.envs.recording import draw_actions
 from mbtl.envs.slots import as_one
 from mbtl.problems import check_cmdp, get_cmdp
 from mbtl.testing.cmdps import CMDPContract
+from mbtl.trainers import reference_rows
 from mbtl.zoo.cmdps import gym_id
 from mbtl.zoo.cmdps.families import TRAFFIC_VARIANTS
 from mbtl.zoo.cmdps.traffic.eco import Eco
@@ -71,7 +72,7 @@ class TestTwins(CMDPContract):
 )
 def test_unguided_traffic_flows_as_in_sumo(id, context):
     sumo, ours = (
-        get_cmdp(id, engine=engine).trainer_for(eval_episodes=n).reference_rows([context], [0])
+        reference_rows(get_cmdp(id, engine=engine).trainer_for(eval_episodes=n), [context], [0])
         for engine, n in (("sumo", 8), ("jax", 100))
     )
     sumo, ours = sumo["unguided"][0], ours["unguided"][0]

@@ -155,10 +155,10 @@ def test_sumo_tells_what_stands_beside_the_score_whoever_trains():
     found = {}
     for how in ("sumo", "sumo-jax"):
         trainer = get_cmdp("eco-green", engine=how).trainer_for(acting="mean", eval_episodes=1)
-        found[how] = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5], names)
+        found[how] = {w: trainer.measure(w, contexts, [3, 5], names) for w in (policy, "unguided")}
         scores = trainer.evaluate(policy, contexts, [3, 5])
-        np.testing.assert_allclose(found[how]["policies"]["score"], scores, rtol=1e-6)
-    for who in ("policies", "unguided"):
+        np.testing.assert_allclose(found[how][policy]["score"], scores, rtol=1e-6)
+    for who in (policy, "unguided"):
         for name in names:
             one, other = (found[how][who][name] for how in ("sumo", "sumo-jax"))
             np.testing.assert_array_equal(one, other)

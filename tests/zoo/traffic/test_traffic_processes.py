@@ -10,6 +10,7 @@ from mbtl.engine import SceneProblem
 from mbtl.engine.worlds import processes
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.problems import get_cmdp
+from mbtl.trainers import reference_rows
 from mbtl.zoo.cmdps.registry import engines_of
 
 HOLD = {"hold": 40.0}
@@ -35,7 +36,7 @@ def test_a_policy_and_traffic_without_one_score_as_in_the_environments(id):
     np.testing.assert_allclose(
         here.evaluate(policy, contexts, [5]), there.evaluate(policy, contexts, [5]), rtol=1e-5
     )
-    free = [one.reference_rows(contexts, [5])["unguided"] for one in (here, there)]
+    free = [reference_rows(one, contexts, [5])["unguided"] for one in (here, there)]
     np.testing.assert_allclose(*free, rtol=1e-5)
 
 

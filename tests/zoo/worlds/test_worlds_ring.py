@@ -11,6 +11,7 @@ from mbtl.engine.learners.episodic.episodes import Actor, measures
 from mbtl.engine.worlds import random
 from mbtl.problems import get_cmdp
 from mbtl.seeds import episode_seed
+from mbtl.trainers import reference_rows
 from mbtl.zoo.cmdps.traffic.twins import RingProblem
 from mbtl.zoo.worlds.traffic.ring import RingTwin
 
@@ -114,7 +115,7 @@ def test_noise_is_standard_normal_and_uncorrelated():
 
 def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for(eval_episodes=4)
-    rows = trainer.reference_rows([{"hold": 40.0}], [1])
+    rows = reference_rows(trainer, [{"hold": 40.0}], [1])
     seeds = [episode_seed(1, episode) for episode in range(4)]
     assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
     assert rows["random_actions"].shape == (1, 4)

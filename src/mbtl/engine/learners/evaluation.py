@@ -214,20 +214,20 @@ def measured(
     }
 
 
-def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str, Array]:
-    """(C, E) scores by name without any policy, in the episodes of these (C, E) seeds."""
-    nobody = Actor((), jnp.zeros((1, 1)))
+def reference_returns(world: World, params: Tree, seeds: ArrayLike, way: str) -> Array:
+    """(C, E) scores without any policy, in the episodes of these (C, E) seeds.
 
-    def played(one: World, how: Acting) -> Array:
-        found: Array = evaluate(one, nobody, params, seeds, how=how)[0]
-        return found
-
-    rows = {"random_actions": played(world, "random")}
-    if world.drives:
-        rows["unguided"] = played(world, "none")
-    for way in getattr(world, "ways", ()):  # controllers of the world's own
-        rows[way] = played(replace(cast(Any, world), way=way), "none")
-    return rows
+    Args:
+        world: the dynamics.
+        params: of C contexts.
+        seeds: of the episodes.
+        way: "random_actions", "unguided", or one of the world's `ways`.
+    """
+    nobody, how = Actor((), jnp.zeros((1, 1))), "random" if way == "random_actions" else "none"
+    if way not in ("random_actions", "unguided"):  # a controller of the world's own
+        world = replace(cast(Any, world), way=way)
+    found: Array = evaluate(world, nobody, params, seeds, how=cast(Acting, how))[0]
+    return found
 
 
 def _take(tree: Tree, first: int, count: int, size: int) -> Any:

@@ -384,11 +384,16 @@
   function servingTable(i, place) {
     if (place.childElementCount) return;
     const item = state.items[i], s = item.served, table = document.createElement("table");
-    table.createTHead().innerHTML = "<tr><th>context<th>policy<th>which is<th>performance<th>runner-up<th>its performance</tr>";
+    const more = Object.entries(item.columns), heads = table.createTHead().insertRow();
+    ["context", "policy", "which is", "performance", "runner-up", "its performance", ...more.map(([head]) => head)].forEach((head) => {
+      const cell = document.createElement("th");
+      cell.textContent = head;
+      heads.append(cell);
+    });
     const body = table.createTBody();
     for (let c = 0; c < item.n; c++) {
       const row = body.insertRow(), p = s.policy[c], r = s.runnerUp[c];
-      [describe(item, c), p + 1, home(item, p), fixed(s.performance[c]), r < 0 ? "–" : r + 1, fixed(s.runnerUpPerformance[c])]
+      [describe(item, c), p + 1, home(item, p), fixed(s.performance[c]), r < 0 ? "–" : r + 1, fixed(s.runnerUpPerformance[c]), ...more.map(([, values]) => fixed(values[c]))]
         .forEach((text) => (row.insertCell().textContent = text));
     }
     place.append(table);

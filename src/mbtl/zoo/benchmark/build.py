@@ -30,10 +30,11 @@ from mbtl.processes import separate_workers
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.trainers.contract import (
     ManyTrainer,
-    ReferenceTrainer,
+    MeasuringTrainer,
     Trainer,
     checked_returns,
     even_groups,
+    reference_rows,
 )
 from mbtl.zoo.benchmark.matrix import Floats
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
@@ -327,7 +328,7 @@ class Build:
         return float(sum(self._entries(key)))
 
     def references(self) -> dict[str, Floats]:
-        """(N, E) returns of every episode without a policy, by name; see `ReferenceTrainer`."""
+        """(N, E) returns of every episode without a policy, by name; see `MeasuringTrainer`."""
         return dict(read_npz(self._references)) if self._references.is_file() else {}
 
     def origins(self, key: str = "origin") -> list[dict[str, Any]]:
@@ -351,9 +352,11 @@ class Build:
 
     def _refer(self) -> None:
         trainer = self.trainer
-        if self._references.is_file() or not isinstance(trainer, ReferenceTrainer):
+        if self._references.is_file() or not isinstance(trainer, MeasuringTrainer):
             return
-        rows, n = trainer.reference_rows(self.space.contexts, self._evaluation_seeds), self.space.n
+        rows, n = reference_rows(trainer, self.space.contexts, self._evaluation_seeds), self.space.n
+        if not rows:
+            return
         checked = {name: checked_returns(row, n, whole=True) for name, row in rows.items()}
         write_npz(self._references, {k: row.astype(np.float32) for k, row in checked.items()})
 

@@ -27,7 +27,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.files import claimed_folder, whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
-from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
+from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of, reference_rows
 from mbtl.zoo.benchmark.build import distinct
 from mbtl.zoo.benchmark.matrix import REFERENCE, TransferMatrix
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
@@ -426,7 +426,7 @@ class Kinds:
                 file = self._references(cmdp, seed)
                 if not file.is_file():
                     own = self._evaluation_seeds(seed)
-                    rows = trainer.reference_rows(list(cmdp.space.contexts), own)
+                    rows = reference_rows(trainer, list(cmdp.space.contexts), own)
                     write_npz(file, {k: summary(np.asarray(v)) for k, v in rows.items()})
 
     def _references(self, cmdp: Any, seed: int) -> Path:

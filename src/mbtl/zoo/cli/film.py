@@ -49,7 +49,7 @@ class Watched:
 
     Attributes:
         env: the environment.
-        beside: what stands beside a score: unit by its name in the last step's info.
+        metrics: what stands beside a score: unit by its name in the last step's info.
         pictures: of the first episode, if it is filmed: first, last, and at most `2 * _MOST` in
             all, evenly spread over its decisions.
         has_clock: the environment says what time it is in a picture.
@@ -64,10 +64,10 @@ class Watched:
         env: Any,
         filming: bool,
         on_look: Callable[[str], None] = lambda where: None,
-        beside: Mapping[str, str] | None = None,
+        metrics: Mapping[str, str] | None = None,
     ) -> None:
         self.env, self._filming, self._on_look = env, filming, on_look
-        self.beside = beside or {}
+        self.metrics = metrics or {}
         self.pictures: list[Picture] = []
         self.ends: list[dict[str, Any]] = []
         self.scores: list[float] = []
@@ -113,7 +113,7 @@ class Watched:
     def measures(self, episode: int) -> dict[str, tuple[float, str]]:
         """What stands beside the score of an episode: value and unit by name."""
         end = self.ends[episode]
-        return {n: (float(end[n]), unit) for n, unit in self.beside.items() if n in end}
+        return {n: (float(end[n]), unit) for n, unit in self.metrics.items() if n in end}
 
     # ---- inside ------------------------------------------------------------------------------
 

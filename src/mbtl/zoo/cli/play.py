@@ -84,7 +84,7 @@ def play(
         status.update(words)
         log.say(words)
 
-    env = Watched(make_env(context), film is not None, says, cmdp.beside)
+    env = Watched(make_env(context), film is not None, says, cmdp.metrics)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
     else:  # other features than the axes are nobody's business but the simulator's
@@ -102,7 +102,7 @@ def play(
             told = partial(_aloud, says, f"{REFERENCE_NAMES.get(way, way)}: ")
             alone = ByItself(make_env(context), way)
             takes[REFERENCE_NAMES.get(way, way)] = Watched(
-                alone, film is not None, told, cmdp.beside
+                alone, film is not None, told, cmdp.metrics
             )
         for take in takes.values():
             (scores,) = rollout.play(

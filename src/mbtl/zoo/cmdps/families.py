@@ -230,7 +230,7 @@ def _ring(name: str, actions: str) -> Family:
 def _ramp(name: str, actions: str, checkpoint: str) -> Family:
     return Family(
         entry_point=f"mbtl.zoo.cmdps.traffic.ramp:{name}", horizon=400, bounds=(0.0, 8.78),
-        beside=_RAMP_SEES, theta=0.005,
+        metrics=_RAMP_SEES, theta=0.005,
         presets=_in_sumo(
             _RAMP_TRPO, _NEAR_SIGHTED, checkpoint=checkpoint, credit="team", **_applied(actions),
         ),
@@ -361,7 +361,7 @@ _RAMP_SEES = {"throughput": "cars/h", "dropped": "of the cars found no room to e
 TRAFFIC_FAMILIES: Mapping[str, Family] = {
     "signal": Family(
         entry_point="mbtl.zoo.cmdps.traffic.signal:Signal", horizon=540, bounds=(-120.0, 0.0),
-        beside=_SIGNAL_SEES,
+        metrics=_SIGNAL_SEES,
         scores={"delay": {}, "paper": {"bounds": (-100.0, 0.0), "floor": -100.0}}, theta=0.001,
         presets=_SIGNAL, jax=TwinFamily("mbtl.zoo.cmdps.traffic.twins:SignalProblem", _SIGNAL_TWIN),
         in_processes={"standard": _SIGNAL_PPO}, simulator="sumo", visibility="hidden",
@@ -371,12 +371,12 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.zoo.cmdps.traffic.eco:Eco",
         horizon=1500,
         bounds=(0.0, 14.0),  # nobody drives, everybody at the limit
-        beside={"trip_speed": "m/s in the region", **_FLOW},
+        metrics={"trip_speed": "m/s in the region", **_FLOW},
         scores={
             "everyone": {},
             "paper": {
                 "bounds": (0.0, 15.0),
-                "beside": {"mean_speed": "m/s of all cars", **_FLOW},
+                "metrics": {"mean_speed": "m/s of all cars", **_FLOW},
             },
         },
         theta=0.005,

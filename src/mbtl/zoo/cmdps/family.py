@@ -65,7 +65,7 @@ class Family:
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
         floor: return below which none is worse in performance.
         best_return: the largest return there is; None: not known.
-        beside: what stands beside a score: unit by name of a measure.
+        metrics: what stands beside a score: unit by name of a measure.
         scores: what an episode can be worth, where there is a choice; the first is the default. By
             name what of the fields above is different then. Bounds and floor are of that score.
         score: what an episode is worth; None: the sum of its rewards.
@@ -87,7 +87,7 @@ class Family:
     check_steps: int | None = None
     floor: float | None = None
     best_return: float | None = None
-    beside: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, str] = field(default_factory=dict)
     scores: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     score: Score | None = None
 

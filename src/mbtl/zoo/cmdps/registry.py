@@ -173,7 +173,7 @@ def get_cmdp(
             **({"score": make_env.options["score"]} if family.scores else {}),
         },
         description=variant.description,
-        beside=family.beside,
+        metrics=family.metrics,
     )
 
 
