@@ -61,9 +61,9 @@ class Showing:
         space: the contexts.
     """
 
-    make_env: Callable[[Context], Any]
+    make_env: Callable[..., Any]
     space: ContextSpace
 
-    def __call__(self, context: Context) -> ShowContext:
+    def __call__(self, context: Context, **options: Any) -> ShowContext:
         """A new environment."""
-        return ShowContext(self.make_env(context), context, self.space)
+        return ShowContext(self.make_env(context, **options), context, self.space)

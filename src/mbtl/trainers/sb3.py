@@ -16,8 +16,8 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.references import Controller, going, ways_in
-from mbtl.envs.rollout import Actor, Job, end, one_instance, play_counted
+from mbtl.envs.references import going, ways_in
+from mbtl.envs.rollout import Job, end, one_instance, play_counted
 from mbtl.errors import InvalidInput, Notice, unknown_name
 from mbtl.processes import usable_cores
 from mbtl.score import SCORE, Score
@@ -330,8 +330,6 @@ class SB3Trainer:
             make, most = self._evaluation(contexts)
             if isinstance(policy, str):
                 actor, make = going(policy, make, contexts[0])
-            elif callable(policy) and not hasattr(policy, "predict"):
-                actor = Actor(Controller(policy))
             else:
                 actor = actor_for(policy, sampled=self.acting == "sampled")
             pairs = zip(contexts, each, strict=True)

@@ -50,6 +50,8 @@ class Watched:
     Attributes:
         env: the environment.
         metrics: what stands beside a score: unit by its name in the last step's info.
+        rows: every decision: its episode and number, what was seen before, what was done, the
+            reward, and the numbers of `info`; empty unless `noting`.
         pictures: of the first episode, if it is filmed: first, last, and at most `2 * _MOST` in
             all, evenly spread over its decisions.
         has_clock: the environment says what time it is in a picture.
@@ -65,8 +67,13 @@ class Watched:
         filming: bool,
         on_look: Callable[[str], None] = lambda where: None,
         metrics: Mapping[str, str] | None = None,
+        unit: str | None = None,
+        *,
+        noting: bool = False,
     ) -> None:
         self.env, self._filming, self._on_look = env, filming, on_look
+        self._unit, self._noting, self._seen = unit, noting, None
+        self.rows: list[dict[str, Any]] = []
         self.metrics = metrics or {}
         self.pictures: list[Picture] = []
         self.ends: list[dict[str, Any]] = []
@@ -83,6 +90,7 @@ class Watched:
         self._decisions, self._gained = 0, 0.0
         self._simulator.watcher = None  # what passes before the first decision is not seen
         started = self.env.reset(**options)
+        self._seen = started[0]
         over = self._is_team and not self.env.agents
         self._look(last=over)
         if self._films:
@@ -94,6 +102,9 @@ class Watched:
     def step(self, action: Any) -> Any:
         """One decision, and look."""
         *moved, info = self.env.step(action)
+        if self._noting:
+            self._note(action, moved[1], next(iter(info.values()), {}) if self._is_team else info)
+        self._seen = moved[0]
         self._decisions += 1
         reward, terminated, truncated = moved[1:4]
         self._gained += float(
@@ -108,7 +119,7 @@ class Watched:
     @property
     def unit(self) -> str:
         """Of the score."""
-        return str(getattr(self.env, "SCORE", "return"))
+        return str(getattr(self.env, "SCORE", "return")) if self._unit is None else self._unit
 
     def measures(self, episode: int) -> dict[str, tuple[float, str]]:
         """What stands beside the score of an episode: value and unit by name."""
@@ -128,6 +139,25 @@ class Watched:
     @property
     def _films(self) -> bool:
         return self._filming and not self.ends
+
+    def _note(self, action: Any, reward: Any, info: Mapping[str, Any]) -> None:
+        """One decision as a row of numbers; of a team its mean reward."""
+        alone = {} if self._is_team else {"seen": self._seen, "done": action}
+        told = {k: v for k, v in info.items() if isinstance(v, (int, float, np.number))}
+        self.rows.append(
+            {
+                "episode": len(self.ends) + 1,
+                "decision": self._decisions + 1,
+                "reward": float(np.mean([*reward.values()] if self._is_team else reward)),
+                **{
+                    f"{name} {i}": float(x)
+                    for name, part in alone.items()
+                    if not isinstance(part, (dict, tuple))
+                    for i, x in enumerate(np.ravel(part))
+                },
+                **told,
+            }
+        )
 
     def _ended(self, info: Mapping[str, Any]) -> None:
         self.ends.append(dict(info))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from csv import DictWriter
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -17,7 +19,8 @@ from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp
-from mbtl.problems.loading import plugin_ids
+from mbtl.problems.loading import plugin_ids, resolve_cmdp
+from mbtl.score import RANDOM_ACTIONS
 from mbtl.seeds import action_seed, episode_seeds, evaluation_seeds
 from mbtl.zoo.cli.film import Watched, save_film
 from mbtl.zoo.cli.shared import Score
@@ -29,10 +32,14 @@ def play(
     target: Annotated[
         str,
         typer.Argument(
-            help="Folder of a portfolio (runs/.../portfolio), whose policies choose; or the id of "
-            "a CMDP, where choices are drawn at random."
+            help="Folder of a portfolio (runs/.../portfolio), whose policies choose; or a CMDP, "
+            "by id or my_file.py:problem, where choices are drawn at random."
         ),
     ],
+    problem: Annotated[
+        str | None,
+        typer.Option(help="my_file.py:problem, where the portfolio is of a problem of yours."),
+    ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(help="Context, NAME=VALUE; repeat for more. Default: the nominal one."),
@@ -46,6 +53,9 @@ def play(
     film: Annotated[
         Path | None, typer.Option(help="Save the first episode as this GIF, 30 s at most.")
     ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Save every decision in this table: seen, done, reward.")
+    ] = None,
     trust: Annotated[
         bool,
         typer.Option("--trust", help="Read policies that can run code, of a maker you trust."),
@@ -54,60 +64,58 @@ def play(
 ) -> None:
     """Play episodes of a CMDP in its simulator and print what they are worth.
 
-    The same episodes are played without a policy, too, where the system goes on by itself. A film
-    is of the first episode.
+    The same episodes are played by the baselines of the problem and without a policy, too, where
+    the system goes on by itself. A film is of the first episode.
 
     Example: mbtl play runs/ring-acc-quick-seed0/portfolio --at hold=5 --film ring.gif
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
     from mbtl.envs import rollout
-    from mbtl.envs.references import ByItself, ways_of
-    from mbtl.report.reference import REFERENCE_NAMES
     from mbtl.trainers.sb3_learning import actor_for
 
     if film is not None:
         _check_film(film)
-    portfolio = None if target in cmdp_ids() else _portfolio(target, trust)
-    made = {} if portfolio is None else _record(portfolio.metadata, "settings")
-    switches = _record(made, "switches") | ({} if score is None else {"score": score})
-    cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), switches)
-    nominal = dict(cmdp.nominal or {})
+    portfolio, cmdp, made = _opened(target, problem, score, trust)
+    nominal = dict(cmdp.nominal or cmdp.space.context(cmdp.space.n // 2))
     context = {**nominal, **_parsed(at or [])}
     nominal_part = {axis: context[axis] for axis in nominal}
-    assert isinstance(cmdp.make_env, EnvFactory)
-    shown = _shown(cmdp, gui, film is not None)
-    make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
+    if not isinstance(cmdp.make_env, EnvFactory):  # which checks by itself
+        cmdp.space.encode(context)
+    make_env = _maker(cmdp, gui, film is not None)
     log, status = LongWork(console), console.status("playing")
 
     def says(words: str) -> None:
         status.update(words)
         log.say(words)
 
-    env = Watched(make_env(context), film is not None, says, cmdp.metrics)
-    if portfolio is None:
-        actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
-    else:  # other features than the axes are nobody's business but the simulator's
+    def watched(env: Any, name: str) -> Watched:
+        unit = None if cmdp.score is None or not cmdp.score.unit else cmdp.score.unit
+        tell = partial(_aloud, says, f"{name}: " if name else "")
+        return Watched(env, film is not None, tell, cmdp.metrics, unit, noting=csv is not None)
+
+    first = watched(make_env(context), "")
+    _check_drawn(cmdp, first, film)
+    random = rollout.Actor(_AtRandom(first, seed))
+    name, actor, why = "choices at random", random, "choices at random"
+    if portfolio is not None:  # other features than the axes are nobody's business
         choice = portfolio.explain(nominal_part)
         sampled = _record(made, "recipe").get("acting") == "sampled"
-        actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
+        actor = actor_for(portfolio.policy(choice.policy), sampled=sampled)
+        name, why = "guided", choice.explanation
+    takes, actors = {name: first}, {name: actor}
+    if not gui:
+        for other, env, acts in _beside(cmdp, first.env, partial(make_env, context), actor, random):
+            takes[other], actors[other] = watched(env, other), acts
     own = evaluation_seeds(seed, 0, [_place(cmdp, nominal_part)])
     (seeds,) = episode_seeds(own, 1, episodes)
     # to the end: a score that is known is no reason to look away
     counted = None if cmdp.score is None else replace(cmdp.score, foretold=None, strata=None)
     pictures = 0
-    takes = {"choices at random" if portfolio is None else "guided": env}
     with status:
-        for way in () if gui else ways_of(env):
-            told = partial(_aloud, says, f"{REFERENCE_NAMES.get(way, way)}: ")
-            alone = ByItself(make_env(context), way)
-            takes[REFERENCE_NAMES.get(way, way)] = Watched(
-                alone, film is not None, told, cmdp.metrics
-            )
-        for take in takes.values():
-            (scores,) = rollout.play(
-                [rollout.Job(partial(_same, take), seeds, counted)], actor, max_envs=1
-            )
+        for name, take in takes.items():
+            job = rollout.Job(partial(_same, take), seeds, counted)
+            (scores,) = rollout.play([job], actors[name], max_envs=1)
             take.scores = scores.tolist()
         if film is not None:
             name = f"{cmdp.id} at {cmdp.space.describe(nominal_part)}"
@@ -115,25 +123,58 @@ def play(
             pictures = save_film(
                 film, name, filmed, lambda k, n: says(f"drawing picture {k} of {n} of {film}")
             )
-    found = {name: take.scores for name, take in takes.items()}
+        if csv is not None:
+            _write(csv, takes)
+    files = {f"{pictures} pictures": film, "every decision": csv}
+    _tell(cmdp, context, why, takes, {what: file for what, file in files.items() if file}, json)
+
+
+def _tell(
+    cmdp: CMDP,
+    context: Context,
+    why: str,
+    takes: Mapping[str, Watched],
+    files: Mapping[str, Path],
+    as_json: bool,
+) -> None:
+    """Print what was played."""
+    first = next(iter(takes))
+    unit = takes[first].unit
     beside = {name: _measured(take) for name, take in takes.items()}
-    if json:
+    if as_json:
         print_json(
-            {"cmdp": cmdp.id, "context": context, "policy": why, "scores": env.scores,
-             "unit": env.unit, "all": found,
+            {"cmdp": cmdp.id, "context": context, "policy": why, "scores": takes[first].scores,
+             "unit": unit, "all": {name: take.scores for name, take in takes.items()},
              "measures": {n: {m: v for m, (v, _) in each.items()} for n, each in beside.items()}}
         )  # fmt: skip
         return
     out = printer()
     out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
-    for name, worth in found.items():
-        of = "score" if name == next(iter(found)) else f"{name}: score"
-        unit = "" if env.unit == "return" else f" {env.unit}"
-        values = " ".join(f"{score:.4g}" for score in worth)
+    for name, take in takes.items():
+        of = "score" if name == first else f"{name}: score"
+        values = " ".join(f"{score:.4g}" for score in take.scores)
         rest = "".join(f"; {value:.4g} {what}" for value, what in beside[name].values())
-        out.print(f"{of}: {values}{unit}{rest}", markup=False, highlight=False)
-    if film is not None:
-        out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)
+        said = f"{of}: {values}{'' if unit == 'return' else f' {unit}'}{rest}"
+        out.print(said, markup=False, highlight=False)
+    for what, file in files.items():
+        out.print(f"{what}: {file}", markup=False, highlight=False)
+
+
+def _beside(
+    cmdp: CMDP, first: Any, make: Callable[[], Any], actor: Any, random: Any
+) -> Iterator[tuple[str, Any, Any]]:
+    """What else is played: name, environment, and who acts in it."""
+    from mbtl.envs.references import ByItself, ways_of
+    from mbtl.report.reference import REFERENCE_NAMES
+    from mbtl.trainers.sb3_learning import actor_for
+
+    for way in ways_of(first):
+        yield REFERENCE_NAMES.get(way, way), ByItself(make(), way), actor
+    for name, baseline in cmdp.baselines.items():
+        if baseline == RANDOM_ACTIONS:
+            yield name, make(), random
+        elif not isinstance(baseline, str):  # a way is there already
+            yield name, make(), actor_for(baseline)
 
 
 def _place(cmdp: CMDP, context: Context) -> int:
@@ -183,19 +224,40 @@ def _record(record: Mapping[str, Any], key: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _shown(cmdp: CMDP, gui: bool, film: bool) -> dict[str, Any]:
-    """Options of the environment with which it can be seen."""
-    if gui and cmdp.settings["engine"] != "sumo":
-        raise InvalidInput(f"--gui is for traffic, which SUMO simulates, got {cmdp.id!r}")
-    assert isinstance(cmdp.make_env, EnvFactory)
-    kind: Any = resolved(cmdp.make_env.entry_point)
-    if film and "rgb_array" not in kind.metadata["render_modes"]:
-        raise InvalidInput(f"--film needs a CMDP that can be drawn, which {cmdp.id!r} cannot")
-    return {**({"render_mode": "rgb_array"} if film else {}), **({"gui": True} if gui else {})}
+def _opened(
+    target: str, problem: str | None, score: str | None, trust: bool
+) -> tuple[Portfolio | None, CMDP, dict[str, Any]]:
+    """What is played: the portfolio, if any, its problem, and what its study noted."""
+    switches = {} if score is None else {"score": score}
+    if not (Path(target) / MANIFEST).is_file():
+        if ":" in target:
+            return None, resolve_cmdp(target, **switches), {}
+        if target in cmdp_ids():
+            return None, _in_simulator(target, switches), {}
+        if target in plugin_ids():
+            return None, get_cmdp(target), {}
+        raise InvalidInput(
+            "play takes the folder of a portfolio, the id of a CMDP, or my_file.py:problem, got "
+            f"{target!r}, which is neither; `mbtl cmdps` lists the ids"
+        )
+    if problem is not None:
+        cmdp = resolve_cmdp(problem, **switches)
+        portfolio = load_portfolio(target, trust=trust, load=cmdp.trainer.load)
+        return portfolio, cmdp, _record(portfolio.metadata, "settings")
+    portfolio = load_portfolio(target, trust=trust)
+    made, id = _record(portfolio.metadata, "settings"), str(portfolio.cmdp)
+    if id in cmdp_ids():
+        return portfolio, _in_simulator(id, _record(made, "switches") | switches), made
+    if id in plugin_ids():
+        return portfolio, get_cmdp(id), made
+    raise InvalidInput(
+        f"a portfolio of your own problem is played in it, got one of {id!r}; add --problem "
+        "my_file.py:problem"
+    )
 
 
-def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
-    """A CMDP in its simulator, with the switches of the study that a portfolio is of."""
+def _in_simulator(name: str, switches: Mapping[str, Any]) -> CMDP:
+    """A CMDP of ours in its simulator, with the switches of the study that a portfolio is of."""
     try:
         return get_cmdp(name, **{**switches, "engine": engines_of(name)[0]})
     except TypeError as error:
@@ -204,34 +266,61 @@ def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
         ) from error
 
 
-def _portfolio(folder: str, trust: bool) -> Portfolio:
-    if not (Path(folder) / MANIFEST).is_file():
-        if folder in (others := plugin_ids()):
-            raise InvalidInput(
-                f"play takes CMDPs of our own, got {folder!r} of the package {others[folder]!r}; "
-                f"step its environment, `mbtl.get_cmdp({folder!r}).make_env(context)`, if any"
-            )
+def _maker(cmdp: CMDP, gui: bool, film: bool) -> Callable[[Context], Any]:
+    """Context -> environment, one that can be seen if that is asked for."""
+    make_env = cmdp.make_env
+    if gui and cmdp.settings.get("engine") != "sumo":
+        raise InvalidInput(f"--gui is for traffic, which SUMO simulates, got {cmdp.id!r}")
+    if make_env is None:
         raise InvalidInput(
-            f"play takes the folder of a portfolio or the id of a CMDP, got {folder!r}, which is "
-            "neither; `mbtl cmdps` lists the ids"
+            f"play steps an environment, and {cmdp.id!r} is made of functions; give it "
+            "make_env=..., too"
         )
-    portfolio = load_portfolio(folder, trust=trust)
-    if portfolio.cmdp not in cmdp_ids():
-        raise InvalidInput(
-            f"play takes portfolios of our own CMDPs, got one of {portfolio.cmdp!r}; step your own "
-            "environment with `load_portfolio(folder).policy_for(context)`"
-        )
-    return portfolio
+    if isinstance(make_env, EnvFactory):
+        kind: Any = resolved(make_env.entry_point)
+        if film and "rgb_array" not in kind.metadata["render_modes"]:
+            raise InvalidInput(f"--film needs a CMDP that can be drawn, which {cmdp.id!r} cannot")
+        seen = {**({"render_mode": "rgb_array"} if film else {}), **({"gui": True} if gui else {})}
+        return replace(make_env, options={**make_env.options, **seen})
+    inner = getattr(make_env, "make_env", make_env)  # of one that shows the context
+    drawn = film and "render_mode" in inspect.signature(inner).parameters
+    made: Callable[..., Any] = make_env
+    return partial(made, render_mode="rgb_array") if drawn else made
 
 
-def _parsed(values: Sequence[str]) -> Mapping[str, float]:
-    found = {}
+def _check_drawn(cmdp: CMDP, env: Watched, film: Path | None) -> None:
+    if film is not None and getattr(env.env, "render_mode", None) != "rgb_array":
+        raise InvalidInput(
+            f"--film needs environments with render_mode='rgb_array', got one of {cmdp.id!r} with "
+            f"{getattr(env.env, 'render_mode', None)!r}; let make_env take render_mode=None, or "
+            "see the numbers: --csv FILE"
+        )
+
+
+def _write(file: Path, takes: Mapping[str, Watched]) -> None:
+    """Every decision of all takes as a table."""
+    rows = [{"who": name, **row} for name, take in takes.items() for row in take.rows]
+    heads = list(dict.fromkeys(head for row in rows for head in row))
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("w", newline="", encoding="utf-8") as out:
+            table = DictWriter(out, heads, restval="")
+            table.writeheader()
+            table.writerows(rows)
+    except OSError as error:
+        raise InvalidInput(f"--csv needs a file that can be written, got {error}") from error
+
+
+def _parsed(values: Sequence[str]) -> Context:
+    found: Context = {}
     for text in values:
-        name, _, value = text.partition("=")
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise InvalidInput(f"--at is written NAME=VALUE, got {text!r}")
         try:
             found[name] = float(value)
-        except ValueError:
-            raise InvalidInput(f"--at is written NAME=VALUE, got {text!r}") from None
+        except ValueError:  # a choice
+            found[name] = value
     return found
 
 

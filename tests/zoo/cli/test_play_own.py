@@ -1,0 +1,105 @@
+"""`mbtl play` of a user's own problem: with its baselines, as a film and as a table."""
+
+import csv
+import json
+
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+pytest.importorskip("PIL")
+
+from PIL import Image
+
+PROBLEM = """
+import gymnasium as gym
+import numpy as np
+
+import mbtl
+
+
+class Tank(gym.Env):
+    observation_space = gym.spaces.Box(0.0, 1.0, (1,))
+    action_space = gym.spaces.Discrete(2)
+    metadata = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, context, render_mode=None):
+        self.leak = 0.05 if context["pipe"] == "old" else 0.01
+        self.render_mode = render_mode
+
+    def reset(self, *, seed=None, options=None):
+        self.level, self.steps, self.water = 0.5, 0, 0.0
+        return np.array([self.level], np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        self.level = float(np.clip(self.level + 0.1 * action - self.leak, 0.0, 1.0))
+        self.water += 5.0 * float(action)
+        info = {"gap": 100.0 * (1.0 - self.level), "water": self.water}
+        return np.array([self.level], np.float32), self.level, False, self.steps == 8, info
+
+    def render(self):
+        return np.full((30, 40, 3), int(255 * self.level), np.uint8)
+
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Categorical("pipe", ("old", "new")): 2})
+
+
+def problem_of(make_env):
+    return mbtl.CMDP.from_env(
+        "tank", SPACE, make_env=make_env, timesteps=64, eval_episodes=2, budget=1,
+        hyperparameters={"n_steps": 32, "batch_size": 32}, bounds=(0.0, 100.0),
+        score=mbtl.Score("gap", unit="%", direction="minimize"), metrics={"water": "litres"},
+        baselines={"full": lambda seen: 1, "at random": "random_actions"},
+    )
+
+
+problem, blind = problem_of(Tank), problem_of(lambda context: Tank(context))
+"""
+
+
+@pytest.fixture
+def tank(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tank.py").write_text(PROBLEM)
+    return "tank.py:problem"
+
+
+def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, tank):
+    told = ("--at", "pipe=old", "--csv", "out/tank.csv", "--film", "tank.gif", "--json")
+    code, out, err = mbtl_command("play", tank, *told)
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["context"] == {"pipe": "old"}
+    assert list(found["all"]) == ["choices at random", "full", "at random"]
+    assert found["all"]["full"] == [pytest.approx(100.0 * (1.0 - 0.9))]  # 8 steps of 0.1 - 0.05
+    assert (found["unit"], found["measures"]["full"]["water"]) == ("%", 40.0)
+    with open("out/tank.csv", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["who"] == "full"]
+    assert [float(row["seen 0"]) for row in rows[:2]] == pytest.approx([0.5, 0.55])
+    assert [row["done 0"] for row in rows] == ["1.0"] * 8
+    with Image.open("tank.gif") as film:
+        assert film.n_frames > 4
+
+
+def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command, tank):
+    assert mbtl_command("run", tank, "--study", "s", "--no-report")[0] == 0
+    code, _, err = mbtl_command("play", "s/portfolio", "--trust")
+    assert (code, "add --problem my_file.py:problem" in err) == (2, True)
+    play = ("play", "s/portfolio", "--trust", "--problem", tank, "--at", "pipe=new", "--json")
+    code, out, err = mbtl_command(*play)
+    assert code == 0, err
+    assert list(json.loads(out)["all"]) == ["guided", "full", "at random"]
+
+
+@pytest.mark.parametrize(
+    ("target", "more", "words"),
+    [
+        ("tank.py:blind", ["--film", "a.gif"], "let make_env take render_mode=None"),
+        ("tank.py:problem", ["--gui"], "for traffic"),
+        ("tank.py:problem", ["--at", "pipe=odd"], "odd"),
+    ],
+)
+def test_what_cannot_be_shown_says_what_would_help(mbtl_command, tank, target, more, words):
+    code, _, err = mbtl_command("play", target, *more)
+    assert code == 2
+    assert words in err
