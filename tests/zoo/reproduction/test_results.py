@@ -48,7 +48,7 @@ def test_one_table_in_two_formats():
     )
     head, rule, *rows = table.markdown().splitlines()[2:]
     assert (head, rule) == (r"| CMDP | V\_K |", "|---|---:|")
-    assert rows[:3] == [r"| a\|b\* | **0.5000** ± 0.0100 |", "| x & y | 0.2500 |", "| z | - |"]
+    assert rows[:3] == [r"| a\|b\* | **0.5000** (0.0100) |", "| x & y | 0.2500 |", "| z | - |"]
     cells = list(csv.reader(io.StringIO(table.csv())))
     assert cells[0] == ["CMDP", "V_K mean", "V_K std", "V_K marked"]
     assert cells[1:] == [["a|b*", "0.5", "0.01", "1"], ["x & y", "0.25", "", "0"],

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +49,16 @@ class Table:
     head: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
+
+    def without(self, some: Collection[str]) -> Table:
+        """Less: the columns of these heads, and these notes."""
+        kept = [i for i, name in enumerate(self.head) if name not in some]
+        return Table(
+            self.caption,
+            tuple(self.head[i] for i in kept),
+            tuple(tuple(row[i] for i in kept) for row in self.rows),
+            tuple(note for note in self.notes if note not in some),
+        )
 
     def csv(self) -> str:
         """Full precision; a measured column becomes three: mean, standard deviation, marked."""
@@ -109,7 +119,7 @@ def _markdown(cell: Cell) -> str:
     if isinstance(cell, Measured):
         mean = _number(cell.mean)
         mean = f"**{mean}**" if cell.marked else mean
-        return mean if cell.std is None else f"{mean} ± {_number(cell.std)}"
+        return mean if cell.std is None else f"{mean} ({_number(cell.std)})"
     return _markdown_text(_plain(cell))
 
 

@@ -35,12 +35,13 @@ from mbtl.zoo.reproduction.paper import (
 
 DOMAINS = ("traffic", "control")
 _MANY = ("random", "greedy", "mbtl", "sequential_oracle")
-_MARKS = (
-    "Bold: the best of the first five, and those behind it by no more than the standard error of "
-    "the differences, seed by seed; in the paper, whose seeds are not told, those whose standard "
-    "errors overlap (it does not say its own rule). Multi-task: as many steps as one of the other "
-    "trainings; K units: that training goes on for as long as K of them, or as long as is said."
+MARKS = (
+    "Bold: the best of the first five columns, and those behind it by no more than the standard "
+    "error of the differences, seed by seed; of the paper, whose seeds are not told, those whose "
+    "standard errors overlap. Multi-task: as many steps as one other training; K units: as many "
+    "as K of them, or as said below."
 )
+"""What the tables of V mean."""
 
 
 def compute(bench: Bench) -> Numbers:
@@ -178,19 +179,20 @@ def _domain_table(numbers: Numbers, domain: str) -> Table:
             cells = [Measured.of((values or {}).get(m), m in line.get(marks, ())) for m in METHODS]
             rows.append((line["cmdp"] if who == "ours" else "", who, *cells))
     average = numbers["averages"][domain]
+    ours, every = len(average["cmdps"]), len(_of(numbers, domain))
     for label, key in (
-        (f"mean of {len(average['cmdps'])}", "ours"),
-        (f"mean of these {len(average['cmdps'])}", "published"),
-        ("mean of all", "published_all"),
+        (f"mean of {ours}", "ours"),
+        (f"mean of these {ours}", "published"),
+        (f"mean of all {every}", "published_all"),
     ):
         values = average[key]
-        if values:
+        if values and not (key == "published" and ours == every):
             cells = [Measured(values[m]) if m in values else None for m in METHODS]
             rows.append((label, "ours" if key == "ours" else "paper", *cells))
-    notes = [_MARKS, *_notes(_of(numbers, domain), numbers["budget"])]
+    notes = [MARKS, *_notes(_of(numbers, domain), numbers["budget"])]
     caption = (
-        f"{domain.capitalize()}: V after K = {numbers['budget']} trainings, mean and standard "
-        "deviation over seeds."
+        f"{domain.capitalize()}: V after K = {numbers['budget']} trainings, mean (standard "
+        "deviation) over seeds."
     )
     return Table(caption, ("CMDP", "", *(HEADS[m] for m in METHODS)), tuple(rows), tuple(notes))
 

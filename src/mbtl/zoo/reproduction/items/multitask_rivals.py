@@ -40,7 +40,7 @@ def tables(numbers: Numbers) -> dict[str, Table]:
     )
     return {
         "": Table(
-            "One policy for all contexts: V, mean and deviation over seeds.",
+            "One policy for all contexts: V, mean (standard deviation) over seeds.",
             ("CMDP", *(heads[n] for n in names)),
             rows,
             ("The multi-task methods have the steps of one source, MBTL those of K.",),

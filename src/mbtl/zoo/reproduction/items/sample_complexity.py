@@ -106,13 +106,12 @@ def tables(numbers: Numbers) -> dict[str, Table]:
         )
     return {
         "": Table(
-            "Trainings k* until MBTL reaches the better of Independent and Multi-task, per seed, "
-            "and how many times fewer that is than all M sources there are (the paper's N).",
-            ("CMDP", "level", "set by", "k* here", "mean", "M/k*", "M/k* of the control",
+            "Trainings k* until MBTL reaches the better of Independent and Multi-task, per seed; "
+            "M sources (the paper's N) over their mean.",
+            ("CMDP", "mean level", "set by", "k* here", "mean", "M/k*", "M/k* of the control",
              "k* paper", "mean (paper)", "N/k* (paper)"),
             tuple(rows),
-            ("The level is that of each seed; shown is the mean. > n: not within n trainings. The "
-             "control is the better of Random and Greedy, within K trainings.",),
+            ("Control: the better of Random and Greedy, within K trainings. > n: not within n.",),
         )
     }  # fmt: skip
 

@@ -69,7 +69,8 @@ def tables(numbers: Numbers) -> dict[str, Table]:
             for name, one in numbers["algorithms"].items()
         )
         found["algorithm"] = Table(
-            f"The algorithm that trains, on {numbers['cmdp']}: V at K.",
+            f"The algorithm that trains, on {numbers['cmdp']}: V at K, mean (standard deviation) "
+            "over seeds.",
             ("algorithm", *(HEADS[m] for m in methods)),
             rows,
         )
