@@ -115,8 +115,8 @@ PUBLIC = (
 NOT_PUBLIC = {
     "a type: arrays of float64": "arrays.Array",
     "commands of the zoo look, print and end like the tool's": (
-        "cli.common.JsonFlag cli.common.LongWork cli.common.console cli.common.interruptible "
-        "cli.common.print_json cli.common.printer"
+        "cli.adapt.context_of cli.common.JsonFlag cli.common.LongWork cli.common.console "
+        "cli.common.interruptible cli.common.print_json cli.common.printer"
     ),
     "its pictures have the tool's look": ("plot.style.edges plot.style.new_figure"),
     "files are written whole, claimed by one process and read from strangers by one rule": (

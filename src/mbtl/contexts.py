@@ -379,6 +379,9 @@ def _number(value: Any) -> float | int | None:
 
 # ---- spaces --------------------------------------------------------------------------------------
 
+_FINE = 100_001
+"""Values of a continuous axis among which contexts are drawn."""
+
 
 class ContextSpace:
     """Every context of a problem, in a fixed order: index i means the same context for ever.
@@ -563,6 +566,19 @@ class ContextSpace:
                 f"{self.context(near)!r} (index {near})"
             )
         return found
+
+    def between(self, count: int, seed: int) -> list[Context]:
+        """`count` contexts drawn evenly from the axes, on the list or off it."""
+        rng, found = np.random.default_rng(seed), dict[str, list[Value]]()
+        for axis in self.axes:
+            if isinstance(axis, Categorical):
+                levels = list(axis.choices)
+            elif isinstance(axis, Integer):
+                levels = list(range(int(axis.low), int(axis.high) + 1))
+            else:
+                levels = axis.spread(_FINE)
+            found[axis.name] = [levels[i] for i in rng.integers(len(levels), size=count)]
+        return [{name: values[i] for name, values in found.items()} for i in range(count)]
 
     def nearest(self, context: Mapping[str, Value]) -> Context:
         """The context with each number moved into the range of its axis."""

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_group
 
+from mbtl.cli.adapt import adapt
 from mbtl.cli.check import check
 from mbtl.cli.common import INTERRUPTED, Grouped, console, interruptible, interrupts, print_origin
 from mbtl.cli.interrupts import deafen, hear_interrupts, keep_interrupts
@@ -62,7 +63,7 @@ app = typer.Typer(
 )
 
 
-for command in (run, worker, report, check):
+for command in (run, worker, report, adapt, check):
     app.command(cls=Grouped)(interruptible(command))
 app.add_typer(study_app, name="study")
 

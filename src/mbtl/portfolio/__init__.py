@@ -4,6 +4,7 @@ from mbtl.portfolio.adaptive import Adaptive
 from mbtl.portfolio.mlp import BoxHead, DiscreteHead, MLPPolicy
 from mbtl.portfolio.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.router import Choice
+from mbtl.portfolio.served import Served
 
 __all__ = [
     "Adaptive",
@@ -12,5 +13,6 @@ __all__ = [
     "DiscreteHead",
     "MLPPolicy",
     "Portfolio",
+    "Served",
     "load_portfolio",
 ]

@@ -22,6 +22,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbtl.acquisition import argmax_open
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
@@ -112,7 +113,7 @@ class Adaptive:
         left = min(self.episodes - len(self.played) - 1, _AHEAD)
         if left > 0 and len(expected) > 1:
             expected = expected + left * self._taught(float(expected.max()))
-        return int(expected.argmax())
+        return argmax_open(expected, np.ones(len(expected), dtype=bool))
 
     @property
     def policy(self) -> Any:

@@ -27,7 +27,9 @@ from mbtl.portfolio.adaptive import Adaptive
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
+from mbtl.portfolio.served import Served
 from mbtl.routing import Routing, rank
+from mbtl.seeds import Purpose, evaluation_seeds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -242,6 +244,43 @@ class Portfolio:
             forget: chance per episode that the context has changed.
         """
         return Adaptive(self, episodes, forget)
+
+    def evaluate(
+        self,
+        problem: Any,
+        *,
+        contexts: Sequence[Mapping[str, Value]] | None = None,
+        between: int = 200,
+        seed: int = 0,
+    ) -> Served:
+        """Play what serves some contexts, such as those that no training has seen.
+
+        Args:
+            problem: the CMDP, or a trainer, which evaluates.
+            contexts: to serve, within the axes; None: drawn from them.
+            between: how many are drawn.
+            seed: of the draw and of the episodes.
+
+        Raises:
+            ContextMismatch: a context lies outside the axes.
+            InvalidInput: there is no context.
+        """
+        drawn = contexts is None
+        some = self.space.between(between, seed) if contexts is None else list(map(dict, contexts))
+        if not some:
+            raise InvalidInput("a portfolio is evaluated on one context or more, got none")
+        trainer = problem.facts().trainer if hasattr(problem, "facts") else problem
+        choices = [self.explain(context) for context in some]
+        seeds = evaluation_seeds(seed, 0, range(len(some)), Purpose.REPORT)
+        rows: dict[int, Array] = {}
+        for policy in sorted({choice.policy for choice in choices}):
+            mine = [i for i, choice in enumerate(choices) if choice.policy == policy]
+            played = trainer.evaluate(
+                self.policy(policy), [some[i] for i in mine], [seeds[i] for i in mine]
+            )
+            rows |= dict(zip(mine, np.reshape(floats(played), (len(mine), -1)), strict=True))
+        returns = np.array([rows[i] for i in range(len(some))])
+        return Served(self.space, tuple(some), tuple(choices), returns, self.bounds, drawn)
 
     # ---- keeping -----------------------------------------------------------------------------
 

@@ -25,10 +25,7 @@ from mbtl.version import __version__
 
 _WORST = 5
 """Contexts that are listed as badly served."""
-_SCORE = (
-    "The score is the gain in V by which contexts are ranked. It ranks well, "
-    "and its size is no promise."
-)
+_SCORE = "The score is the gain in V by which contexts are ranked; trust the order, not the size."
 
 
 def write_page(subjects: Sequence[Subject], path: str | Path) -> Path:

@@ -310,7 +310,7 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
         if wanted and ability not in state.abilities:
             raise InvalidInput(
                 f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
-                "give another trainer, or a strategy that heeds `problem.abilities`"
+                "give another trainer, or a strategy that goes by `problem.abilities`"
             )
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(

@@ -10,6 +10,7 @@ import random
 import shlex
 import sys
 import time
+import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -44,6 +45,7 @@ from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
 from mbtl.study.records import Failure, Pick, StudyFinished
+from mbtl.study.tell import sources_of
 from mbtl.study.time_limits import at_most, too_long
 from mbtl.study.trainings import Trainings
 from mbtl.trainers.contract import (
@@ -203,6 +205,40 @@ class Study(AskTell):
             callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
             report=report,
         )
+
+    def adopt(
+        self,
+        policy: Any,
+        trained_on: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        *,
+        trainer: Trainer | None = None,
+    ) -> None:
+        """Take in a policy that you have: save it, evaluate it on all contexts, and tell its row.
+
+        It serves where it is best, trainings may begin with it, and the budget stays whole.
+
+        Args:
+            policy: as the trainer has them, e.g. what Stable-Baselines3 loads from your zip.
+            trained_on: its context, which is one of the study's, or several of them.
+            trainer: evaluates and saves; None: the one that the study was made with.
+
+        Raises:
+            InvalidInput: there is no trainer.
+            ContextMismatch: the study has no such context.
+            StorageError: the policy cannot be saved.
+        """
+        trainer = self.trainer if trainer is None else trainer
+        if trainer is None:
+            raise InvalidInput("a policy is evaluated by a trainer, got none; give trainer=...")
+        sources = sources_of(self.space, trained_on)
+        self.equip(trainer)
+        returns = trainer.evaluate(policy, self.space.contexts, self.evaluation_seeds())
+        kept = None
+        if self.artifacts is not None:
+            place = f"policies/{self.state.uid}/adopted-{uuid.uuid4().hex[:8]}"
+            on = [self.space.context(source) for source in sources]
+            kept = self.artifacts.write(place, partial(trainer.save, policy), {"contexts": on})
+        self.tell(sources, returns, policy=kept, policy_object=None if kept else policy)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -318,8 +318,8 @@ class FunctionTrainer:
 
     `contexts` is a list of one or more, `start` a copy of a policy to begin with, `length` how much
     more to train, in units of a whole training (None: a whole one), and `on_progress` is told a
-    `Progress` now and then. Going on begins with the latest policy, so it is as exact as what that
-    holds.
+    `Progress` now and then. Going on begins with the latest policy: what that does not hold, such
+    as the state of an optimiser, begins anew.
 
     Every context has a seed of its own, the same for every policy: luck that all contexts share
     would not average out in V. Where `evaluate` names its third argument `seed` it is called once

@@ -9,7 +9,7 @@ A strategy asks as it does in a study, and what it asks for is rounded to what t
 - one context from scratch: the whole training.
 
 Each costs the units between its marks. What the data cannot answer counts as a training that gave
-nothing, at no price, so that a strategy which heeds failures asks for something else.
+nothing, at no price, so that a strategy which takes failures into account asks for something else.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from csv import DictWriter
 from dataclasses import replace
 from functools import partial
@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from mbtl.cli.adapt import context_of
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json, printer
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StorageError, missing_extra
@@ -78,7 +79,7 @@ def play(
         _check_film(film)
     portfolio, cmdp, made = _opened(target, problem, score, trust)
     nominal = dict(cmdp.nominal or cmdp.space.context(cmdp.space.n // 2))
-    context = {**nominal, **_parsed(at or [])}
+    context = {**nominal, **context_of(at or [])}
     nominal_part = {axis: context[axis] for axis in nominal}
     if not isinstance(cmdp.make_env, EnvFactory):  # which checks by itself
         cmdp.space.encode(context)
@@ -309,19 +310,6 @@ def _write(file: Path, takes: Mapping[str, Watched]) -> None:
             table.writerows(rows)
     except OSError as error:
         raise InvalidInput(f"--csv needs a file that can be written, got {error}") from error
-
-
-def _parsed(values: Sequence[str]) -> Context:
-    found: Context = {}
-    for text in values:
-        name, equals, value = text.partition("=")
-        if not (name and equals and value):
-            raise InvalidInput(f"--at is written NAME=VALUE, got {text!r}")
-        try:
-            found[name] = float(value)
-        except ValueError:  # a choice
-            found[name] = value
-    return found
 
 
 def _check_film(file: Path) -> None:

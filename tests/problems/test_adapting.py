@@ -1,0 +1,144 @@
+"""A policy is tuned for one target more, and kept where it is better there."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.portfolio import load_portfolio
+from mbtl.problems import adapt, with_adapted
+
+TOY = '''
+import numpy as np
+
+import mbtl
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 10.0): 6})
+
+
+def train(contexts, seed, *, start=None, length=None):
+    """A policy is a place; tuning moves it to the target, as far as it is trained."""
+    middle = float(np.mean([context["x"] for context in contexts]))
+    return middle if start is None else start + min(length, 1.0) * (middle - start)
+
+
+def evaluate(policy, contexts, seeds):
+    luck = [np.random.default_rng(seed).normal(0.0, 0.02, 4) for seed in seeds]
+    return np.array([10.0 - abs(c["x"] - policy) + r for c, r in zip(contexts, luck, strict=True)])
+
+
+def save(policy, folder):
+    (folder / "place").write_text(str(policy))
+
+
+def load(folder):
+    return float((folder / "place").read_text())
+
+
+problem = mbtl.CMDP.from_functions(
+    "toy", SPACE, train=train, evaluate=evaluate, save=save, load=load, bounds=(0.0, 10.0)
+)
+fixed = mbtl.CMDP.from_functions(
+    "toy", SPACE, train=lambda context, seed: context["x"], evaluate=evaluate, save=save, load=load,
+    bounds=(0.0, 10.0),
+)
+'''
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "toy", raising=False)  # of another test's folder
+    (tmp_path / "toy.py").write_text(TOY)
+    problem = mbtl.problems.load_object("toy.py:problem")
+    study = mbtl.create_study(problem, budget=2, strategy="equidistant", storage="s/study.db")
+    study.run(progress=False)
+    study.portfolio().save("s/portfolio")
+    return problem
+
+
+def test_a_tuned_policy_that_is_better_joins_and_serves_around_its_target(toy, tmp_path):
+    known = load_portfolio("s/portfolio", load=toy.trainer.load)
+    target = {"x": 9.0}
+    before = known.explain(target)
+    found = adapt(known, toy, target, length=0.5)
+    home = known.space.context(known.sources[before.policy])["x"]
+    assert found.policy == pytest.approx(home + 0.5 * (9.0 - home))
+    assert found.lead == pytest.approx(0.05 * abs(9.0 - home))
+    assert found.is_better
+    larger = with_adapted(known, toy, found, tmp_path / "larger")
+    again = load_portfolio(tmp_path / "larger", load=toy.trainer.load)
+    assert len(again) == len(larger) == len(known) + 1
+    assert again.policy_for(target) == pytest.approx(found.policy)
+    assert again.metadata["adapted"][0]["to"] == target
+    away = abs(np.append(np.arange(6) * 2.0, 9.0) - found.policy)
+    np.testing.assert_allclose(again.returns[-1], 10.0 - away, atol=0.1)
+    assert again.value >= known.value  # the target itself has no weight
+    assert again.explain({"x": 8.9}).policy == 2
+
+
+def test_one_that_is_not_better_is_not_kept(toy, mbtl_command):
+    known = load_portfolio("s/portfolio", load=toy.trainer.load)
+    home = known.space.context(known.sources[0])
+    found = adapt(known, toy, home)
+    assert not found.is_better
+    assert "may be as good" in found.explanation
+
+
+def test_the_command_tunes_says_and_adds(toy, mbtl_command):
+    target = ("--to", "x=9", "--problem", "toy.py:problem", "--trust")
+    code, out, err = mbtl_command("adapt", "s/portfolio", *target, "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["lead"] > told["margin"]
+    assert len(load_portfolio("s/portfolio", trust=True)) == 3
+    code, out, _ = mbtl_command("adapt", "s/portfolio", *target)
+    assert code == 0
+    assert "Nothing was kept." in out
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--to", "x=9", "--problem", "toy.py:problem"), "--trust"),
+        (("--to", "x", "--problem", "toy.py:problem", "--trust"), "NAME=VALUE"),
+        (("--to", "x=11", "--problem", "toy.py:problem", "--trust"), "[0, 10]"),
+        (("--to", "x=9", "--problem", "toy.py:fixed", "--trust"), "cannot begin with the weights"),
+        (("--to", "x=9", "--problem", "toy.py:problem", "--trust", "--steps", "5"), "--steps"),
+    ],
+)
+def test_what_cannot_be_done_costs_one_line(toy, mbtl_command, more, words):
+    code, _, err = mbtl_command("adapt", "s/portfolio", *more)
+    assert code == 2
+    assert words in err
+
+
+def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):
+    known = load_portfolio("s/portfolio", load=toy.trainer.load)
+    found = known.evaluate(toy, between=400)
+    places = np.array([one["x"] for one in found.contexts])
+    homes = np.array([known.space.context(s)["x"] for s in known.sources])
+    best = 1.0 - abs(places[:, None] - homes).min(axis=1) / 10.0
+    assert found.value == pytest.approx(best.mean(), abs=0.02)
+    assert 0.0 < found.margin < 0.03
+    assert found.error < 0.05
+    assert found.performance[places == found.worst["x"]].min() == found.performance.min()
+    given = known.evaluate(toy, contexts=[{"x": 3.3}])
+    assert given.returns.shape == (1, 4)
+    assert 0.0 < given.margin < 0.02
+    with pytest.raises(mbtl.InvalidInput, match="one context or more"):
+        known.evaluate(toy, contexts=[])
+    with pytest.raises(mbtl.MbtlError, match=r"\[0, 10\]"):
+        known.evaluate(toy, contexts=[{"x": 11.0}])
+
+
+def test_drawn_contexts_are_of_every_kind_of_axis():
+    numbers, letters = mbtl.Integer("n", 1, 4), mbtl.Categorical("c", ("a", "b"))
+    space = mbtl.ContextSpace.grid({mbtl.Log("m", 0.1, 10.0): 3, numbers: 2, letters: 2})
+    drawn = space.between(500, seed=3)
+    assert {one["n"] for one in drawn} == {1, 2, 3, 4}
+    assert {one["c"] for one in drawn} == {"a", "b"}
+    assert np.median([one["m"] for one in drawn]) == pytest.approx(1.0, rel=0.5)
+    assert drawn == space.between(500, seed=3)
