@@ -74,7 +74,7 @@ clean:
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache
 
 .venv/bin/python:
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m pip --version > /dev/null && $(PYTHON) -m venv --without-pip .venv || $(PYTHON) -m venv .venv
 
 .venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt tools/install
 	$(PIP) --editable '.[jax,plots]'
