@@ -1,9 +1,10 @@
-"""Engines of others, run for real: Dask with a worker that is killed, and submitit's executor."""
+"""Engines of others, run for real: Dask and Ray with a worker that is killed, and submitit."""
 
 import os
 import signal
 import sys
 import time
+from concurrent.futures import Executor
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,33 @@ def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path)
     assert sorted(row.pick for row in rows) == list(range(6))
     assert not study.state.failures
     assert study.portfolio(trainer).policy_for({"mass": 1.0}).shape == (2,)
+
+
+def test_a_study_on_ray_loses_nothing_when_a_worker_process_is_killed(tmp_path):
+    ray = pytest.importorskip("ray")
+
+    class Ray(Executor):
+        """As docs/cluster.md has it."""
+
+        def submit(self, fn, /, *args, **kwargs):
+            return ray.remote(fn).remote(*args, **kwargs).future()
+
+    trainer = FunctionTrainer(
+        Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
+    )
+    study = created(
+        quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
+    )
+    here = {"PYTHONPATH": os.environ["PYTHONPATH"]}
+    ray.init(num_cpus=2, include_dashboard=False, runtime_env={"env_vars": here})
+    try:
+        ran(study, trainer=trainer, parallel=2, executor=Ray())
+    finally:
+        ray.shutdown()
+    assert (tmp_path / "killed").exists()
+    assert study.is_finished
+    assert sorted(row.pick for row in study.state.rows) == list(range(6))
+    assert not study.state.failures
 
 
 PROBLEM = """
