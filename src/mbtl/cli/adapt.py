@@ -9,7 +9,7 @@ import typer
 
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json, printer
 from mbtl.cli.run import steps_of
-from mbtl.contexts import Context
+from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.problems import CMDP, get_cmdp, resolve_cmdp
@@ -50,7 +50,7 @@ def adapt(
             f"policies of the format {known.policy_format!r} can run code when they are read, got "
             "no --trust; give it if you trust who made them"
         )
-    target, log = context_of(to), LongWork(console)
+    target, log = context_of(to, cmdp.space), LongWork(console)
     trainer = cmdp.facts().trainer
     assert trainer is not None
     length = 1.0
@@ -78,11 +78,12 @@ def adapt(
     printer().print(f"{found.explanation} {kept}", markup=False, highlight=False)
 
 
-def context_of(values: list[str]) -> Context:
+def context_of(values: list[str], space: ContextSpace) -> Context:
     """NAME=VALUE as people type them; what is no number is a choice.
 
     Raises:
         InvalidInput: a text without a name or a value.
+        ContextMismatch: a value that its axis does not take.
     """
     found: Context = {}
     for text in values:
@@ -93,7 +94,8 @@ def context_of(values: list[str]) -> Context:
             found[name] = float(value)
         except ValueError:
             found[name] = value
-    return found
+    own = {axis.name: axis.own([found[axis.name]])[0] for axis in space.axes if axis.name in found}
+    return {**found, **own}
 
 
 def _problem_of(portfolio: Portfolio, given: str | None) -> CMDP:

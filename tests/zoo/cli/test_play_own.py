@@ -24,6 +24,7 @@ class Tank(gym.Env):
 
     def __init__(self, context, render_mode=None):
         self.leak = 0.05 if context["pipe"] == "old" else 0.01
+        self.last = list(range(99))[context["steps"]]  # whole, as an axis of whole numbers has it
         self.render_mode = render_mode
 
     def reset(self, *, seed=None, options=None):
@@ -35,13 +36,15 @@ class Tank(gym.Env):
         self.level = float(np.clip(self.level + 0.1 * action - self.leak, 0.0, 1.0))
         self.water += 5.0 * float(action)
         info = {"gap": 100.0 * (1.0 - self.level), "water": self.water}
-        return np.array([self.level], np.float32), self.level, False, self.steps == 8, info
+        return np.array([self.level], np.float32), self.level, False, self.steps == self.last, info
 
     def render(self):
         return np.full((30, 40, 3), int(255 * self.level), np.uint8)
 
 
-SPACE = mbtl.ContextSpace.grid({mbtl.Categorical("pipe", ("old", "new")): 2})
+SPACE = mbtl.ContextSpace.grid(
+    {mbtl.Categorical("pipe", ("old", "new")): 2, mbtl.Integer("steps", 8, 9): 2}
+)
 
 
 def problem_of(make_env):
@@ -65,11 +68,21 @@ def tank(tmp_path, monkeypatch):
 
 
 def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, tank):
-    told = ("--at", "pipe=old", "--csv", "out/tank.csv", "--film", "tank.gif", "--json")
+    told = (
+        "--at",
+        "pipe=old",
+        "--at",
+        "steps=8",
+        "--csv",
+        "out/tank.csv",
+        "--film",
+        "tank.gif",
+        "--json",
+    )
     code, out, err = mbtl_command("play", tank, *told)
     assert code == 0, err
     found = json.loads(out)
-    assert found["context"] == {"pipe": "old"}
+    assert found["context"] == {"pipe": "old", "steps": 8}
     assert list(found["all"]) == ["choices at random", "full", "at random"]
     assert found["all"]["full"] == [pytest.approx(100.0 * (1.0 - 0.9))]  # 8 steps of 0.1 - 0.05
     assert (found["unit"], found["measures"]["full"]["water"]) == ("%", 40.0)

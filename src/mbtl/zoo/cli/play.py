@@ -79,7 +79,7 @@ def play(
         _check_film(film)
     portfolio, cmdp, made = _opened(target, problem, score, trust)
     nominal = dict(cmdp.nominal or cmdp.space.context(cmdp.space.n // 2))
-    context = {**nominal, **context_of(at or [])}
+    context = {**nominal, **context_of(at or [], cmdp.space)}
     nominal_part = {axis: context[axis] for axis in nominal}
     if not isinstance(cmdp.make_env, EnvFactory):  # which checks by itself
         cmdp.space.encode(context)
