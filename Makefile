@@ -22,7 +22,6 @@ run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM) $(BRIEF) --strategy mbtl --study $(FIRST)/mbtl; one=$$?; \
 	wait $$!; other=$$?; cat $(FIRST)/auto.log; exit $$((one + other))
 	$(BIN)/mbtl report $(FIRST)/mbtl $(FIRST)/auto --out $(FIRST)/report.html
-	$(BIN)/mbtl study list $(FIRST)
 
 # compiling is most of what tests with jax do: without its passes it takes a third of the time
 test: export XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
