@@ -1,6 +1,5 @@
 """The examples run as they stand, and do what their text says."""
 
-import importlib.util
 import pickle
 import runpy
 import sys
@@ -29,35 +28,22 @@ def test_an_example_runs(path, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out
 
 
-def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
+def test_the_traffic_lights_are_those_of_a_scenario_of_the_user(monkeypatch):
     pytest.importorskip("libsumo")
-    from mbtl.zoo.cmdps.traffic import simulation
-
-    spec = importlib.util.spec_from_file_location("own_light", EXAMPLES / "own_sumo_network.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    places = {"m": (0, 0), "a": (200, 0), "b": (-200, 0), "c": (0, -150)}
-    nodes = "".join(f'<node id="{k}" x="{x}" y="{y}"/>' for k, (x, y) in places.items())
-    edges = "".join(
-        f'<edge id="{k}m" from="{k}" to="m"/><edge id="m{k}" from="m" to="{k}"/>' for k in "abc"
-    )
-    fork = {"nodes": f"<nodes>{nodes}</nodes>", "edges": f"<edges>{edges}</edges>"}
-    own = tmp_path / "mine.net.xml"
-    own.write_bytes(simulation.network(fork, "--tls.set", "m").read_bytes())
-    monkeypatch.setenv("NET", str(own))
-    monkeypatch.setattr(sys, "argv", ["mbtl", "check", "own_sumo_network.py:problem"])
-    queues = []
-    for demand in (40.0, 1500.0):
-        env = example.Light({"demand": demand})
-        seen, _ = env.reset(seed=0)
-        assert env.roads == ["am", "bm", "cm"]
-        assert seen.shape == env.observation_space.shape == (4,)
+    config = Path(pytest.importorskip("sumo").SUMO_HOME, "tools", "game", "corridor.sumocfg")
+    monkeypatch.setenv("CONFIG", str(config))
+    example = runpy.run_path(str(EXAMPLES / "own_sumo_network.py"))
+    delays = []
+    for demand in (0.5, 2.0):
+        env = example["problem"].make_env({"demand": demand})
+        assert len(env.control.lights) == 3
+        env.reset(seed=0)
         ended = False
         while not ended:
-            _, _, _, ended, info = env.step(0)
-        queues.append(-info["score"])
+            _, _, _, ended, info = env.follow("actuated")
+        delays.append(info["delay"])
         env.close()
-    assert queues[1] > 1.5 * queues[0]  # the context reaches the network's first road
+    assert delays[1] > 1.5 * delays[0]  # the context reaches the scenario
 
 
 def test_an_example_can_be_sent_to_other_processes():

@@ -19,10 +19,10 @@ ROOT = Path(mbtl.__file__).parent
 WINGS = ("engine", "zoo")
 """Folders of two wings; everything else is the tool."""
 TOOL = [
-    "errors", "faults", "plain", "version", "arrays", "settings",
+    "errors", "faults", "plain", "version", "arrays", "canvas", "settings",
     "processes", "files", "provider", "seeds", "contexts", "objective", "score", "history",
     "episodes", "models", "routing", "acquisition", "selectors", "strategies", "portfolio", "envs",
-    "trainers", "study", "problems", "plot", "report", "testing", "cli",
+    "trainers", "study", "problems", "sumo", "plot", "report", "testing", "cli",
 ]  # fmt: skip
 ENGINE = [
     "engine.elsewhere", "engine.scene", "engine.worlds", "engine.simulators", "engine.learners",
@@ -107,9 +107,9 @@ def test_imports_point_up():
 
 
 PUBLIC = (
-    "acquisition", "contexts", "envs.references", "envs.rollout", "envs.slots", "errors",
+    "acquisition", "canvas", "contexts", "envs.references", "envs.rollout", "envs.slots", "errors",
     "history", "models", "objective", "plot", "portfolio", "problems", "report", "routing",
-    "score", "seeds", "selectors", "strategies", "study", "trainers", "trainers.contract",
+    "score", "seeds", "selectors", "strategies", "study", "sumo", "trainers", "trainers.contract",
 )  # fmt: skip
 """Modules of the tool that the API reference documents, with an `__all__`."""
 NOT_PUBLIC = {
@@ -133,7 +133,6 @@ NOT_PUBLIC = {
     "the provenance of matrices compares settings and names the version": (
         "settings.first_difference version.__version__"
     ),
-    "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
     "`mbtl play` acts with a policy as trainers do": "trainers.sb3_learning.actor_for",
 }
 """Reason -> what the engine and the zoo use of the tool though no user is told of it."""

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mbtl.sumo import Simulation
 from mbtl.zoo.cmdps.traffic.eco import (
     APPROACH,
     BOX,
@@ -23,7 +24,6 @@ from mbtl.zoo.cmdps.traffic.eco import (
     power,
     routes,
 )
-from mbtl.zoo.cmdps.traffic.simulation import Simulation
 
 # ---- who comes -----------------------------------------------------------------------------------
 
@@ -77,7 +77,7 @@ def test_the_signal_is_green_yellow_and_red_in_turn_and_counts_down_to_its_chang
 def test_sumo_shows_what_the_signal_says():
     green = 12.5
     signal = light(green)
-    simulation = Simulation(corridor(signal), step_length=0.5)
+    simulation = Simulation(["--net-file", str(corridor(signal)), "--step-length", "0.5"])
     simulation.start("<routes/>", 0)
     with simulation.guard() as api:
         state = api.trafficlight.getRedYellowGreenState

@@ -24,9 +24,9 @@ from gymnasium.spaces import Box
 from scipy.special import ndtri
 
 from mbtl.arrays import Array
+from mbtl.canvas import Canvas, Image, Window
 from mbtl.contexts import Value
 from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
-from mbtl.zoo.cmdps.drawing import Canvas, Image, Window
 
 # ---- the half cheetah as a MuJoCo model, with the numbers of Gymnasium's HalfCheetah-v5 ------
 #

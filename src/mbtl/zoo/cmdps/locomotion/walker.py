@@ -22,10 +22,10 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.canvas import Canvas, Image, Window
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
-from mbtl.zoo.cmdps.drawing import Canvas, Image, Window
 
 # One walker: a Box2D world of its own, whose gravity, ground and hull are those of its context
 #

@@ -62,11 +62,12 @@ from gymnasium.spaces import Box
 from scipy.special import ndtr, ndtri
 
 from mbtl.arrays import Array
+from mbtl.canvas import Window
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.sumo import network
 from mbtl.zoo.cmdps.contextual import Observation
-from mbtl.zoo.cmdps.drawing import Window
-from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam, network
+from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam
 
 # ---- emissions: CO2 of a car from its speed and acceleration, after VT-CPFM (cmdp-spec, 6.3) -
 #

@@ -25,10 +25,11 @@ from typing import Any, ClassVar, NamedTuple, Unpack
 import numpy as np
 
 from mbtl.contexts import Value
+from mbtl.sumo import network
 from mbtl.zoo.cmdps.contextual import Observation
 from mbtl.zoo.cmdps.traffic import advisory
 from mbtl.zoo.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
-from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam, network
+from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam
 
 MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0
 

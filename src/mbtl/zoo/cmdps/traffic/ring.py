@@ -22,10 +22,11 @@ import numpy as np
 
 from mbtl.contexts import Value
 from mbtl.errors import SimulationFailed, unknown_name
+from mbtl.sumo import network
 from mbtl.zoo.cmdps.contextual import Observation
 from mbtl.zoo.cmdps.traffic import advisory
 from mbtl.zoo.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
-from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficEnv, network
+from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficEnv
 
 CARS = 22
 CIRCUMFERENCE = 250.0

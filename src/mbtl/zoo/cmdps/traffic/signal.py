@@ -29,12 +29,12 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.canvas import Window
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.sumo import CARS, network
 from mbtl.zoo.cmdps.contextual import Observation
-from mbtl.zoo.cmdps.drawing import Window
-from mbtl.zoo.cmdps.traffic.drawing import CARS
-from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficEnv, network
+from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficEnv
 
 # ---- cars of the traffic-signal family: when they come and where they go (cmdp-spec, 5) ------
 #

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.zoo.cmdps.drawing import Canvas, Image, Window
+from mbtl.canvas import Canvas, Image, Window
 
 MARGIN = 4.0
 """Metres around the network."""

@@ -1,6 +1,8 @@
 """One simulation at a time in this process; everything else goes to a process of its own."""
 
+import copy
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -8,8 +10,8 @@ import sys
 import pytest
 
 from mbtl.errors import InvalidInput, MissingExtra, SimulationFailed, UnknownName
-from mbtl.zoo.cmdps.traffic import simulation as sumo
-from mbtl.zoo.cmdps.traffic.simulation import Simulation, network
+from mbtl.sumo import Simulation, network
+from mbtl.sumo import installed as sumo
 
 ROAD = {
     "nodes": '<nodes><node id="a" x="0" y="0"/><node id="b" x="500" y="0"/></nodes>',
@@ -21,12 +23,12 @@ ROUTES = """<routes><vType id="car" sigma="0.5"/>
 
 @pytest.fixture(scope="module")
 def road():
-    return network(ROAD)
+    return ["--net-file", str(network(ROAD))]
 
 
 @pytest.fixture
 def make(road, opened):
-    return lambda **options: opened(Simulation(road, step_length=1.0, **options))
+    return lambda **options: opened(Simulation(road, **options))
 
 
 def speeds(simulation, steps=10):
@@ -56,10 +58,20 @@ def test_both_engines_give_the_same_numbers_and_run_side_by_side(make):
 
 
 def test_a_forgotten_simulation_frees_libsumo(road, make):
-    Simulation(road, step_length=1.0).start(ROUTES, seed=0)
+    Simulation(road).start(ROUTES, seed=0)
     other = make()
     other.start(ROUTES, seed=0)
     assert other.running == "libsumo"
+
+
+def test_a_simulation_has_no_copies(make):
+    """A copy would speak for the same simulation, and end it with itself."""
+    simulation = make()
+    simulation.start(ROUTES, seed=0)
+    for copied in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="cannot be copied"):
+            copied(simulation)
+    assert speeds(simulation)
 
 
 def test_bad_input_of_sumo_is_one_sentence_and_the_next_start_works(make):
@@ -144,7 +156,7 @@ def test_without_either_library_the_reason_is_told(make, monkeypatch):
 def test_an_old_sumo_is_refused_at_the_start_and_not_left_running(make, monkeypatch):
     simulation = make()
     with monkeypatch.context() as patch:
-        patch.setattr("mbtl.zoo.cmdps.traffic.simulation.OLDEST", (99, 0))
+        patch.setattr("mbtl.sumo.installed.OLDEST", (99, 0))
         with pytest.raises(MissingExtra, match=r"99\.0 or newer, got"):
             simulation.start(ROUTES, seed=0)
         assert simulation.running is None
@@ -175,13 +187,13 @@ def test_a_window_is_sumo_gui_through_traci_and_starts_by_itself(make, monkeypat
 
 def test_settings_are_checked(road, monkeypatch):
     with pytest.raises(UnknownName, match="libsumo"):
-        Simulation(road, step_length=1.0, engine="libsum")
+        Simulation(road, engine="libsum")
     with pytest.raises(InvalidInput, match="TraCI"):
-        Simulation(road, step_length=1.0, engine="libsumo", gui=True)
+        Simulation(road, engine="libsumo", gui=True)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(InvalidInput, match="screen"):
-        Simulation(road, step_length=1.0, gui=True)
+        Simulation(road, gui=True)
 
 
 def test_traci_is_the_installed_one_that_talks_to_another_process(tmp_path):
@@ -190,7 +202,7 @@ def test_traci_is_the_installed_one_that_talks_to_another_process(tmp_path):
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     disturbed = {"PYTHONPATH": path, "LIBSUMO_AS_TRACI": "1"}
     code = (
-        "from mbtl.zoo.cmdps.traffic.simulation import library\n"
+        "from mbtl.sumo.installed import library\n"
         "print(library('traci').start.__module__, library('libsumo').__name__)\n"
     )
     command, env = [sys.executable, "-c", code], {**os.environ, **disturbed}
