@@ -11,6 +11,7 @@ import sumo as eclipse_sumo
 
 import mbtl
 from mbtl import sumo
+from mbtl.report import summarise_study
 
 CROSSING = Path(eclipse_sumo.SUMO_HOME, "tools", "game", "cross.sumocfg")
 
@@ -22,12 +23,12 @@ problem = sumo.from_sumocfg(
     timesteps=4000,
     hyperparameters={"gamma": 0.95, "learning_rate": 1e-3, "n_steps": 200, "batch_size": 50},
     eval_episodes=2,
-    budget=3,
+    budget=2,
 )
 
 if __name__ == "__main__":
-    portfolio, context = problem.study().run().portfolio(), {"demand": 1.5}
-    rows = problem.trainer.reference_rows([context], [1])
-    rows["portfolio"] = problem.trainer.evaluate(portfolio.policy_for(context), [context], [1])
-    for name, delays in rows.items():
-        print(f"{name}: {delays.mean():.1f} s of delay per vehicle")
+    summary = summarise_study(problem.study().run().study)
+    delays = {"policies": summary.fresh_value} | {one.name: one.value for one in summary.baselines}
+    for who, value in delays.items():
+        told = {name: round(mean, 1) for name, mean in summary.metrics[who].items()}
+        print(f"{who}: V {value:.3f}", told)

@@ -91,7 +91,8 @@ def test_a_configuration_is_read_as_sumo_reads_it(own, tmp_path):
     short.write_text(
         f'<configuration><n value="{own.parent}/own.net.xml"/><r v=" own.rou.xml.gz"/>'
         '<b value="8:00:00"/><e value="8:01:30"/><scale value="2"/><random value="true"/>'
-        '<gui_only><osg-view value="true"/></gui_only><log value="x.txt"/></configuration>'
+        '<gui_only><osg-view value="true"/></gui_only><log value="x.txt"/>'
+        '<human-readable-time value="true"/></configuration>'
     )
     found = Scenario.read(short, {"demand": sumo.Demand(), "trucks": sumo.TypeShare("truck")})
     assert found.seconds == 90.0

@@ -6,13 +6,16 @@ import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 
 from mbtl.contexts import Context, ContextSpace
+from mbtl.errors import MissingExtra
 from mbtl.problems import CMDP
+from mbtl.score import Score
 from mbtl.settings import described
 from mbtl.sumo.environment import METRICS, KeepOrGoOn, Measured, ScenarioEnv, arguments
 from mbtl.sumo.installed import program
@@ -62,6 +65,8 @@ def from_sumocfg(
 
 def from_sumo_rl(
     id: str,
+    net_file: str,
+    route_file: str,
     space: ContextSpace,
     changes: Mapping[str, Change],
     options: Mapping[str, Any],
@@ -71,25 +76,25 @@ def from_sumo_rl(
 
     Args:
         id: short name, part of file names.
+        net_file: network.
+        route_file: vehicles.
         space: the contexts.
-        changes: by name of an axis, what it changes in network and routes, e.g. `Demand()`.
-        options: arguments of `sumo_rl.SumoEnvironment`: `net_file`, `route_file`, and others.
+        changes: by name of an axis, what it changes in the files, e.g. `Demand()`.
+        options: further arguments of `sumo_rl.SumoEnvironment`, e.g. `num_seconds`.
         **record: as of `from_sumocfg`.
 
     Raises:
+        MissingExtra: sumo-rl is not installed.
         UnknownName: the files have no such element or attribute.
         InvalidInput: a file cannot be read.
     """
-    paths = {name: str(options[given]) for name, given in _GIVEN.items()}
-    full = {name: ",".join(map(os.path.abspath, path.split(","))) for name, path in paths.items()}
-    scenario = Scenario(full, dict(changes))
+    if find_spec("sumo_rl") is None:
+        raise MissingExtra("sumo-rl is needed for this and not installed; run: pip install sumo-rl")
+    places = map(os.path.abspath, (net_file, route_file))
+    scenario = Scenario(dict(zip(("net-file", "route-files"), places, strict=True)), dict(changes))
     make_env = partial(SumoRLEnv, scenario=scenario, options=dict(options))
     record = {**_standard(scenario, space, described(options)), **record}
     return CMDP.from_env(id, space, make_env=make_env, **record)
-
-
-_GIVEN = {"net-file": "net_file", "route-files": "route_file"}
-"""What sumo-rl calls SUMO's options."""
 
 
 class SumoRLEnv(gymnasium.Wrapper):  # type: ignore[misc]  # gymnasium is untyped for our checker
@@ -100,10 +105,10 @@ class SumoRLEnv(gymnasium.Wrapper):  # type: ignore[misc]  # gymnasium is untype
         os.environ.setdefault("SUMO_HOME", str(Path(program("sumo")).parents[1]))
         self._measured = Measured()
         files = scenario.files(context).write(self._measured.folder) | self._measured.options
-        places = {given: files.pop(name) for name, given in _GIVEN.items()}
+        net, routes = files.pop("net-file"), files.pop("route-files")
         more = " ".join([options.get("additional_sumo_cmd") or "", *arguments(files)])
-        given = {**options, **places, "additional_sumo_cmd": more, "single_agent": True}
-        super().__init__(importlib.import_module("sumo_rl").SumoEnvironment(**given))
+        given = {**options, "additional_sumo_cmd": more, "single_agent": True}
+        super().__init__(importlib.import_module("sumo_rl").SumoEnvironment(net, routes, **given))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -132,9 +137,8 @@ def _standard(scenario: Scenario, space: ContextSpace, told: Mapping[str, Any]) 
     """What a record holds unless a user says otherwise, of a scenario that fits the axes."""
     scenario.check(space)
     return {
-        "score": "delay",
-        "direction": "minimize",
-        "beside": {name: unit for name, unit in METRICS.items() if name != "delay"},
+        "score": Score("delay", unit=METRICS["delay"], direction="minimize"),
+        "metrics": {name: unit for name, unit in METRICS.items() if name != "delay"},
         "settings": {**told, "changes": described(scenario.changes)},
         "trainer_options": {"n_eval_envs": 1},  # libsumo holds one simulation per process
     }

@@ -29,9 +29,9 @@ _LONG = {"n": INPUTS[0], "net": INPUTS[0], "a": INPUTS[1], "additional": INPUTS[
 _LONG |= {"r": INPUTS[2], "routes": INPUTS[2], "b": "begin", "e": "end"}
 _DROPPED = re.compile(
     r"output|log|save-state|netstate|^(summary|tripinfo|vehroutes|seed|random|verbose|v|remote-port"
-    r"|num-clients|no-warnings|W|xml-validation)$"
+    r"|num-clients|no-warnings|W|xml-validation|human-readable-time|H)$"
 )
-"""Options that write files, and those of `Simulation`."""
+"""Options that write files or say how, and those of `Simulation`."""
 _WRITES = re.compile(rb"\b(file|dest|output)\s*=")
 _READERS = ("variableSpeedSign", "rerouter")
 """Elements whose attribute `file` is read; that of detectors is written."""
@@ -135,7 +135,7 @@ class Scenario:
             name, value = _LONG.get(entry.tag, entry.tag), entry.get("value", entry.get("v", ""))
             if value and not _DROPPED.search(name):
                 parts = [os.path.expandvars(part.strip()) for part in value.split(",")]
-                named = name.endswith(("file", "files"))
+                named = name.endswith(("file", "files", "load-state"))
                 options[name] = ",".join(
                     str(path.parent / part) if named else part for part in parts
                 )
