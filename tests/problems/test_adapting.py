@@ -124,7 +124,7 @@ def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):
     assert found.value == pytest.approx(best.mean(), abs=0.02)
     assert 0.0 < found.margin < 0.03
     assert found.error < 0.05
-    assert found.performance[places == found.worst["x"]].min() == found.performance.min()
+    assert found.performances[places == found.worst["x"]].min() == found.performances.min()
     given = known.evaluate(toy, contexts=[{"x": 3.3}])
     assert given.returns.shape == (1, 4)
     assert 0.0 < given.margin < 0.02

@@ -39,20 +39,20 @@ class Served:
     drawn: bool
 
     @property
-    def performance(self) -> Array:
+    def performances(self) -> Array:
         """(n,) mean normalised returns."""
         return self.bounds.normalise(self.returns.mean(axis=1))
 
     @property
     def value(self) -> float:
         """V on these contexts."""
-        return float(self.performance.mean())
+        return float(self.performances.mean())
 
     @property
     def margin(self) -> float:
         """Half a 95 % interval of V; of given contexts nothing but the luck of the episodes."""
         if self.drawn:
-            spread = float(self.performance.std(ddof=1)) if len(self.contexts) > 1 else math.inf
+            spread = float(self.performances.std(ddof=1)) if len(self.contexts) > 1 else math.inf
             return SURE * spread / math.sqrt(len(self.contexts))
         if self.returns.shape[1] == 1:
             return math.inf
@@ -68,17 +68,17 @@ class Served:
     @property
     def error(self) -> float:
         """Root of the mean square of what was expected less what came: how well it interpolates."""
-        return float(np.sqrt(np.square(self.expected - self.performance).mean()))
+        return float(np.sqrt(np.square(self.expected - self.performances).mean()))
 
     @property
     def worst(self) -> Context:
         """The context that is served worst."""
-        return self.contexts[int(self.performance.argmin())]
+        return self.contexts[int(self.performances.argmin())]
 
     def __repr__(self) -> str:
         worst = self.space.describe(self.worst)
         return (
             f"Served({len(self.contexts)} contexts: V = {self.value:.4f} +- {self.margin:.4f}, "
             f"expected {self.expected.mean():.4f}, error {self.error:.4f}; worst at {worst}, "
-            f"{self.performance.min():.4f})"
+            f"{self.performances.min():.4f})"
         )
