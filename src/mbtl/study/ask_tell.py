@@ -10,7 +10,7 @@ import math
 import random
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
@@ -82,10 +82,6 @@ _PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 1.0, 0.1
 """Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
 a moment, then ever more, since many who look at once only disturb each other."""
 
-_QUEUED = 50
-
-"""Writes that take turns after one that came too late: where nobody disturbs, that costs time."""
-
 _WATCH = 1.0
 
 """Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
@@ -127,7 +123,6 @@ class AskTell:
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
         self.selector = selector
-        self._queued = 0
         self.refresh()
 
     def __repr__(self) -> str:
@@ -847,28 +842,13 @@ class AskTell:
             event = decide(self.refresh())
             if event is None:
                 return event
-            with self._turn() as queued:
-                if queued and (event := decide(self.refresh())) is None:
-                    return event
-                check_event(event, self._state)
-                before = self._holder(event)
-                self.log.append(event, after=self._state.seq)
-                self.refresh()
+            check_event(event, self._state)
+            before = self._holder(event)
+            self.log.append(event, after=self._state.seq)
+            self.refresh()
             if before is not None:
                 self.presence.succeed(before, self.leases)
             return event
-
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[bool]:
-        """True where others were faster lately, so that this one waits for its turn to write."""
-        queued = self._queued > 0
-        self._queued -= queued
-        try:
-            with self.log.turn() if queued else contextlib.nullcontext():
-                yield queued
-        except Conflict:
-            self._queued = _QUEUED
-            raise
 
     def _holder(self, event: Event) -> str | None:
         """Name of the worker whose pick an event gives to somebody else; None: nobody's."""

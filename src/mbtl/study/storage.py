@@ -16,9 +16,7 @@ import json
 import threading
 import time
 import weakref
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -45,10 +43,6 @@ if TYPE_CHECKING:
     import sqlalchemy as sa
 
 T = TypeVar("T")
-
-
-_PATIENCE, _LONGEST = "3s", "20s"
-"""For which a turn is waited for, and for which a worker that went away silently may keep one."""
 
 
 class Conflict(StorageError):
@@ -81,10 +75,6 @@ class EventLog(Protocol):
 
     def beats(self) -> Mapping[str, Beat]:
         """The last heartbeat of each lease, by its token."""
-        ...
-
-    def turn(self) -> AbstractContextManager[None]:
-        """Others that write wait meanwhile, where the database can make them."""
         ...
 
 
@@ -121,10 +111,6 @@ class MemoryLog:
     def beats(self) -> Mapping[str, Beat]:
         """The last heartbeats."""
         return dict(self._beats)
-
-    def turn(self) -> AbstractContextManager[None]:
-        """Nobody else is here."""
-        return nullcontext()
 
 
 class SqlLog:
@@ -246,37 +232,6 @@ class SqlLog:
             return {token: Beat(*facts) for token, *facts in rows}
 
         return self._do(fetch)
-
-    @contextmanager
-    def turn(self) -> Iterator[None]:
-        """Many who write to one study on a server queue up there, instead of colliding.
-
-        An append compares by itself what it follows, so nothing depends on a turn, and whatever
-        goes wrong with one goes wrong again, and is said, when something is written. Without turns,
-        though, most appends of sixty workers come too late, and each look and each try costs all of
-        them time. The turn is a transaction of its own; no effect where this is no PostgreSQL.
-        """
-        import sqlalchemy as sa
-
-        if self._engine.dialect.name != "postgresql":
-            yield
-            return
-        key = zlib.crc32(f"mbtl {self.study}".encode("utf-8", "surrogatepass"))
-        wait = sa.select(
-            sa.func.set_config("lock_timeout", _PATIENCE, True),
-            sa.func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
-            sa.func.pg_advisory_xact_lock(key),
-        )
-        connection = None
-        with suppress(sa.exc.SQLAlchemyError):
-            connection = self._engine.connect()
-            connection.execute(wait)
-        try:
-            yield
-        finally:
-            if connection is not None:
-                with suppress(sa.exc.SQLAlchemyError):
-                    connection.close()
 
     # ---- inside ------------------------------------------------------------------------------
 
