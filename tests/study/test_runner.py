@@ -226,7 +226,7 @@ def test_settings_read_back_as_they_compare(tmp_path):
         new(tmp_path / "s.db", settings={"net": (64, 64), "rate": 1e-3})
     for rate in (np.float64(1e-3), lambda left: 1e-3 * left):
         new(tmp_path / "by_value.db", settings={"rate": rate}, name=type(rate).__name__)
-    with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'python3"):
+    with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'source:"):
         new(tmp_path / "by_value.db", settings={"rate": lambda left: 1e-3}, name="function")
 
 
