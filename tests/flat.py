@@ -17,7 +17,7 @@ _END = {
     "stop_left": "left",
     "stop_confidence": "confidence",
 }
-_RUN = ("parallel", "executor", "deterministic", "lease", "timeout")
+_RUN = ("parallel", "executor", "lease", "timeout")
 _FAIL = {
     "stop_after_failures": "most_in_a_row", "retries": "retries", "retry_failed": "retry_failed",
     "rehearse": "rehearse",

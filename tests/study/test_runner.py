@@ -2,7 +2,7 @@
 
 import os
 import signal
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -83,24 +83,6 @@ def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     assert not study.state.failures
     study.run(trainer=counting([]), report=False)
     assert len(study.state.rows) == 4
-
-
-def test_whole_batches_give_one_study_whatever_interrupts(tmp_path):
-    """The order of completion does not matter either."""
-
-    class Stop(Callback):
-        def on_told(self, study, pick):
-            if pick.number == 2:
-                raise KeyboardInterrupt
-
-    with ThreadPoolExecutor(2) as pool:
-        how = {"trainer": TRAINER, "parallel": 2, "deterministic": True, "executor": pool}
-        calm, study = ran(new(None), **how).study, new(tmp_path / "s.db")
-        with pytest.raises(KeyboardInterrupt):
-            ran(study, callbacks=[Stop()], **how)
-        ran(mbtl.load_study(tmp_path / "s.db"), **how)
-    assert [p.source for p in calm.state.picks] == [p.source for p in study.refresh().picks]
-    assert np.array_equal(study.curve, calm.curve)
 
 
 def test_callbacks_hear_everything(tmp_path):

@@ -94,20 +94,20 @@ class Batches:
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
 
-    def do(self, size: int, ask: Callable[[], Pick | None], *, together: bool = False) -> None:
+    def do(self, size: int, ask: Callable[[], Pick | None]) -> None:
         """Train `size` picks at a time until none is left; on any interrupt give them back.
+
+        Each is told, and the next one asked for, when it is done.
 
         Args:
             size: trainings at a time.
             ask: gives the next pick; None: there is none.
-            together: ask for the next ones when all are told, in pick order; else each is told, and
-                the next one asked for, when it is done.
 
         Raises:
             TrainingFailed: failures end the run. What was under way is told.
         """
         waiting: dict[int, Pick] = {}
-        outcomes = self._outcomes(size, ask, waiting, together=together)
+        outcomes = self._outcomes(size, ask, waiting)
         end: Exception | None = None
         self._failed = None
         self._ending = False
@@ -155,12 +155,7 @@ class Batches:
     # ---- trainings under way -----------------------------------------------------------------
 
     def _outcomes(
-        self,
-        size: int,
-        ask: Callable[[], Pick | None],
-        waiting: dict[int, Pick],
-        *,
-        together: bool,
+        self, size: int, ask: Callable[[], Pick | None], waiting: dict[int, Pick]
     ) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, see `do`; None where it is somebody else's by now.
 
@@ -175,31 +170,9 @@ class Batches:
                 self._announce_pick(pick)
                 future = self._begun(pick, self._job(pick))
                 self._under_way[future] = pick, time.monotonic()
-                if together and self._is_whole(size):
-                    break
             if not self._under_way:
                 return
-            yield from self._batch() if together else self._landed()
-
-    def _batch(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
-        """What all that are under way gave, in pick order; also where the executor breaks then."""
-        landed: list[tuple[Pick, Outcome | Trouble | None]] = []
-        broken: StudyError | None = None
-        try:
-            while self._under_way:
-                landed += self._landed()
-        except StudyError as error:
-            broken = error
-        yield from sorted(landed, key=lambda one: one[0].number)
-        if broken is not None:
-            raise broken
-
-    def _is_whole(self, size: int) -> bool:
-        """Whether a batch is full: what others left, up to a multiple of `size` picks asked.
-
-        So a run that goes on asks exactly when, and knowing just what, an undisturbed one would.
-        """
-        return not self.study.orphans and len(self.study.state.picks) % size == 0
+            yield from self._landed()
 
     @property
     def _in_doubt(self) -> bool:

@@ -106,8 +106,6 @@ class Workers:
         parallel: picks trained at the same time. Each is told when it is done, and the next one is
             proposed at once, without the rows of those under way.
         executor: does them when `parallel` > 1; None: processes of this machine.
-        deterministic: ask for the next picks only when all of a batch are told, so that a study
-            does not depend on how long trainings take. Slots stand idle meanwhile.
         lease: seconds without a sign of life after which other runs take the trainings over. On one
             machine they do so at once when the process has ended.
         timeout: seconds that a training and its evaluation may take; longer ones are ended, and
@@ -120,7 +118,6 @@ class Workers:
 
     parallel: int = 1
     executor: Executor | None = None
-    deterministic: bool = False
     lease: float = LEASE
     timeout: float | None = None
 
@@ -505,7 +502,7 @@ def run(
                 workers.timeout, failures.retries,
             )  # fmt: skip
             ask = partial(_next_pick, study, keeper, may_begin)
-            do_all = partial(batches.do, workers.parallel, ask, together=workers.deterministic)
+            do_all = partial(batches.do, workers.parallel, ask)
             try:
                 do_all()
                 while wait and _wait_for_others(study, announce, may_begin):
