@@ -333,14 +333,10 @@ _WORDS = {
 
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:
     """Why one more training is not worth it; None where it is, or where nobody asked."""
-    asked = (
-        (spec.stop_gain, proposal.chance, "one more training gains"),
-        (spec.stop_left, proposal.chance_left, "all trainings that are left together gain"),
-    )
-    for least, chance, who in asked:
-        if least is not None and chance is not None and 1.0 - chance >= spec.stop_confidence:
-            return (
-                f"{who} less than {least:g} in V with probability {1.0 - chance:.3f}, the selector "
-                "predicts"
-            )
+    least, chance = spec.stop_left, proposal.chance_left
+    if least is not None and chance is not None and 1.0 - chance >= spec.stop_confidence:
+        return (
+            f"all trainings that are left together gain less than {least:g} in V with probability "
+            f"{1.0 - chance:.3f}, the selector predicts"
+        )
     return None

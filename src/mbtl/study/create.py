@@ -55,15 +55,13 @@ class Stopping:
 
     Attributes:
         value: V, performance, that is enough; needs bounds.
-        gain: in V, that one more training should be worth, as the strategy predicts after three
-            rows or more; needs bounds.
-        left: gain in V that all trainings left together should be worth, or that is left to what
-            `Objective.best_return` is worth; needs bounds.
+        left: gain in V that all trainings left together should be worth, as the strategy predicts
+            after three rows or more, or that is left to what `Objective.best_return` is worth;
+            needs bounds.
         confidence: how probable that must be, and that V is what it seems, in (0, 1).
     """
 
     value: float | None = None
-    gain: float | None = None
     left: float | None = None
     confidence: float = 0.9
 
@@ -183,7 +181,7 @@ def _spec(
     if pair is not None:
         Bounds(*pair, direction, floor)
     best = facts.best_return if aim.best_return is None else aim.best_return
-    _check_stopping(strategy, end, pair)
+    _check_stopping(end, pair)
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
     return StudySpec(
@@ -202,7 +200,6 @@ def _spec(
         _costs_of(None if cost is None else cost.per_context, space),
         real("risk", aim.risk),
         _target_count(evaluation.targets, space.n),
-        real("gain of Stopping", end.gain),
         real("confidence of Stopping", end.confidence),
         real("left of Stopping", end.left),
         finite("best_return", best),
@@ -342,9 +339,9 @@ def _costs_of(
     return tuple(array.tolist())
 
 
-def _check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
-    """What is said in performance needs bounds, and a predicted gain somebody who predicts it."""
-    for name in ("value", "gain", "left"):
+def _check_stopping(end: Stopping, bounds: object) -> None:
+    """What is said in performance needs bounds."""
+    for name in ("value", "left"):
         value = getattr(end, name)
         if value is not None and bounds is None:
             raise InvalidInput(
@@ -357,11 +354,6 @@ def _check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
     if not (is_finite(end.confidence) and 0.0 < end.confidence < 1.0):
         raise InvalidInput(
             f"confidence of Stopping is a probability in (0, 1), got {short(end.confidence)}"
-        )
-    if end.gain is not None and not traits_of(selector).predicts_chances:
-        raise InvalidInput(
-            f"gain of Stopping needs a strategy that predicts chances of a gain, such as 'auto', "
-            f"got {selector.name!r}"
         )
 
 

@@ -35,9 +35,9 @@ class StudySpec:
         costs: cost of a training on each context; None where all cost the same.
         risk: share of the targets, the worst of them, that V is the mean of.
         eval_targets: targets that each policy is evaluated on; None for all.
-        stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
-        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        stop_left: gain in V that all trainings left together should be worth; None: never ends for
+            that.
         best_return: no policy can return more (less, if minimised); None: not known.
         floor: return below which none is worse in performance; None: nothing is clipped.
         any_training: the selector is a strategy that asks for trainings of every kind.
@@ -61,7 +61,6 @@ class StudySpec:
     costs: tuple[float, ...] | None = None
     risk: float = 1.0
     eval_targets: int | None = None
-    stop_gain: float | None = None
     stop_confidence: float = 0.9
     stop_left: float | None = None
     best_return: float | None = None
@@ -87,7 +86,6 @@ class StudySpec:
             costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
             cost_budget=self.cost_budget,
             risk=self.risk,
-            least_gain=self.stop_gain,
             least_left=self.stop_left,
             abilities=abilities if self.any_training else None,
             assumed=assumed,
@@ -210,7 +208,7 @@ _SPEC: dict[str, Rule] = {
     "any_training": FLAG,
     **dict.fromkeys(("seed", "trial"), SEED),
     **dict.fromkeys(("risk", "stop_confidence"), (is_number, "a number")),
-    **dict.fromkeys(("theta", "stop_value", "stop_gain", "stop_left"), NUMBER),
+    **dict.fromkeys(("theta", "stop_value", "stop_left"), NUMBER),
     **dict.fromkeys(("cost_budget", "best_return", "floor"), NUMBER),
     **dict.fromkeys(("eval_targets", "steps", "unit", "target_steps"), or_null(COUNT)),
 }
