@@ -23,7 +23,7 @@ from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
-from mbtl.portfolio.adaptive import Adaptive
+from mbtl.portfolio.adaptive import Adaptive, deviations
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
@@ -243,7 +243,9 @@ class Portfolio:
             episodes: how many are expected; the more, the more is tried out.
             forget: chance per episode that the context has changed.
         """
-        return Adaptive(self, episodes, forget)
+        mean, width = self.routing.believed, self.bounds.high - self.bounds.low
+        own = deviations(self.episodes, mean.shape, width)
+        return Adaptive(self.space, self.bounds, mean, own, self.policy, episodes, forget)
 
     def evaluate(
         self,
