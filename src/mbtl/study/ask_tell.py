@@ -31,7 +31,7 @@ from mbtl.settings import first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Steps
-from mbtl.study.checks import advance, check_event
+from mbtl.study.checks import advance, check_event, is_policy_place
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
@@ -466,6 +466,12 @@ class AskTell:
             StudyError: the pick was answered before, or is another study's.
         """
         sources = tell.sources_of(self.space, pick)
+        place = policy.place if isinstance(policy, Artifact) else policy
+        if place is not None and not is_policy_place(place):
+            raise InvalidInput(
+                "`policy` must be a folder inside the study's own, as a relative path, got "
+                f"{short(place)}"
+            )
         price = finite("cost", cost, 0.0)
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
@@ -482,7 +488,7 @@ class AskTell:
             "episodes": rows.shape[1],
             "seconds": finite("seconds", seconds, 0.0),
             "steps": finite("steps", steps, 0.0),
-            "policy": policy.place if isinstance(policy, Artifact) else policy,
+            "policy": place,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
             "state": None if training_state is None else training_state.place,
             "state_sha256": None if training_state is None else training_state.sha256,
@@ -490,13 +496,13 @@ class AskTell:
         }
         if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
-        place = 0
+        row = 0
 
         def told(state: StudyState) -> Event:
-            nonlocal place
+            nonlocal row
             if isinstance(pick, Pick) and tell.is_late(state, pick):
                 return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
-            place = len(state.rows)
+            row = len(state.rows)
             number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
@@ -508,7 +514,7 @@ class AskTell:
         with self._lock:  # so that no other thread takes a row away meanwhile
             in_time = self._commit(told).kind == "told"
             if policy_object is not None and in_time:
-                self.policies[place] = policy_object
+                self.policies[row] = policy_object
         return in_time
 
     def evaluation_seeds(
