@@ -21,7 +21,7 @@ from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
-from mbtl.trainers.contract import checked_targets
+from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
@@ -290,18 +290,8 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
         )
     if length is not None and not (np.isfinite(length) and length >= 0.0):
         raise InvalidInput(f"a training has a length >= 0 in units, got {length!r} from {name!r}")
-    if length == 0.0 and (start is None or proposal.targets is None):
-        raise InvalidInput(
-            f"what is only evaluated (length 0) names the policy, start=, and its targets=, got "
-            f"{proposal} from {name!r}"
-        )
     pick = state.planned(_facts(state, proposal))
-    if length and length <= pick.done:
-        raise InvalidInput(
-            f"a training goes on beyond the {pick.done:g} units that it has, got "
-            f"length={length:g} from {name!r}; it is the length in all"
-        )
-    asked = {
+    asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,
         "start": start is not None and length != 0.0,
         "length": length not in (None, 0.0),
@@ -309,8 +299,8 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
     for ability, wanted in asked.items():
         if wanted and ability not in state.abilities:
             raise InvalidInput(
-                f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
-                "give another trainer, or a strategy that goes by `problem.abilities`"
+                f"the trainer of this study cannot {DEEDS[ability]}, which {name!r} asks for; give "
+                "another trainer, or a strategy that goes by `problem.abilities`"
             )
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(
@@ -322,13 +312,6 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
             f"a training costs no more than is left of the budget of {spec.budget}, got "
             f"{pick.price:g} units where {seen.paid:g} are spent, from {name!r}"
         )
-
-
-_WORDS = {
-    "sets": "one policy on several contexts",
-    "start": "a training that begins from a policy",
-    "length": "a training of another length than its own",
-}
 
 
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:

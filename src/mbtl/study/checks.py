@@ -105,10 +105,11 @@ def _check_training(event: Event, state: StudyState) -> None:
         return
     asked = state.planned(data)
     if not asked.length and None in (asked.start, asked.targets):
-        raise InvalidInput("a pick that only evaluates a policy has a start and targets")
+        raise InvalidInput("what only evaluates a policy (length 0) has a start= and targets=")
     if asked.length and asked.length <= asked.done:
         raise InvalidInput(
-            f"a training goes on beyond what it had, {asked.done:g} units, got {asked.length:g}"
+            f"a training goes on beyond the {asked.done:g} units that it has, got length="
+            f"{asked.length:g}; it is the length in all"
         )
 
 
