@@ -202,9 +202,7 @@ def test_neither_a_selector_nor_a_trainer_of_one_context_is_asked_for_more():
     with pytest.raises(InvalidInput, match=r"says so by traits = Traits\(any_training=True\)"):
         study_of(Bold((EVERYBODY,))).ask()
     study = study_of(Scripted((EVERYBODY,)))
-    with pytest.raises(
-        InvalidInput, match="cannot train one policy on several contexts"
-    ):
+    with pytest.raises(InvalidInput, match="cannot train one policy on several contexts"):
         study.run(lambda context, seed: 1.0, lambda p, c, s: np.ones(len(c)), progress=False)
 
 
