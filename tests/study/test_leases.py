@@ -1,7 +1,6 @@
 """Picks are leases: nobody waits for a dead worker, what is late changes nothing, none shared."""
 
 import contextlib
-import copy
 import pickle
 import threading
 import time
@@ -390,20 +389,3 @@ def test_what_was_decided_is_written_after_the_state_that_it_was_decided_on():
     other.join()
     kinds = [event.kind for event in study.log.read()][-2:]
     assert (event.data["rows"], kinds) == (0, ["released", "told"])
-
-
-def test_a_pickled_study_is_opened_anew_and_one_in_memory_says_why_not(tmp_path):
-    settings = {"budget": 3, "bounds": (0.0, 1.0), "strategy": mbtl.selectors.Random()}
-    place = {"storage": tmp_path / "study.db", "artifacts": tmp_path / "kept"}
-    study = created(WIDE, trainer=TRAINER, **place, **settings)
-    first = study.ask()
-    for twin in (pickle.loads(pickle.dumps(study)), copy.deepcopy(study)):
-        assert (twin.name, twin.selector, twin.trainer) == (study.name, study.selector, TRAINER)
-        assert twin.folder == tmp_path / "kept"
-        assert twin.worker != study.worker
-    twin.tell(first, row_of(first.context))
-    assert len(study.refresh().rows) == 1
-    twin.run(progress=False, report=False)
-    assert len(study.refresh().rows) == 3
-    with pytest.raises(StudyError, match=r"in memory lives in one process.*make it with storage="):
-        pickle.dumps(created(WIDE, **settings))

@@ -11,7 +11,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
 
@@ -132,20 +132,6 @@ class AskTell:
             f"{told} policies told, {state.spent_words()}"
         )  # fmt: skip
         return f"Study({self.name!r}: {how}, {spec.space!r})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if isinstance(self.log, MemoryLog):
-            raise StudyError(
-                f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
-                "another or copied; make it with storage=<path or URL>"
-            )
-        given: dict[str, Any] = {
-            "folder": self.artifacts,
-            "name": self.name,
-            "trainer": self.trainer,
-            "beside": self.beside,
-        }
-        return partial(type(self), **given), (self.log, self.selector)
 
     # ---- reading ------------------------------------------------------------------------------
 

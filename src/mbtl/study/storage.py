@@ -138,9 +138,6 @@ class SqlLog:
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return SqlLog, (self.url, self.study)  # another process opens it anew
-
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
         import sqlalchemy as sa

@@ -132,8 +132,7 @@ class Workers:
 class Study(AskTell):
     """One selection run over an event log. Make one with `create_study` or `load_study`.
 
-    Threads may share one. Sent to another process (pickled), it is opened there anew, as another
-    worker; policies that are in memory only stay here.
+    Threads may share one; another process opens it with `load_study`, as another worker.
 
     Attributes:
         name: within its storage.
