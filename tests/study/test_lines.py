@@ -1,6 +1,5 @@
 """What people ask a study for: its trainings as lines, what a run gave, ending early."""
 
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -52,19 +51,6 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
     assert (lines[1].error, lines[1].steps) == ("diverged", 70.0)
     assert {line.worker for line in lines} == {study.worker, None}
     assert study.trainings == mbtl.load_study(tmp_path / "s.db").trainings
-
-
-def test_a_frame_has_a_line_per_training_and_a_column_per_axis(monkeypatch):
-    pytest.importorskip("pandas")
-    study = study_of()
-    assert study.trainings.to_frame().empty
-    pick = study.ask()
-    study.tell(pick, np.zeros(N))
-    frame = study.trainings.to_frame()
-    assert frame[["context_mass", "state"]].values.tolist() == [[pick.context["mass"], "done"]]
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
-        study.trainings.to_frame()
 
 
 def test_a_run_says_what_it_gave():

@@ -43,7 +43,7 @@ from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
-from mbtl.study.trainings import Trainings, trainings_of
+from mbtl.study.trainings import Training, trainings_of
 from mbtl.trainers.contract import (
     Trainer,
     checked_returns,
@@ -235,7 +235,7 @@ class AskTell:
 
     @property
     @_alone
-    def trainings(self) -> Trainings:
+    def trainings(self) -> tuple[Training, ...]:
         """What became of each pick, and of rows that nobody asked for, one typed line each."""
         return trainings_of(self.refresh(), self.watch())
 

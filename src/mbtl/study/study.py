@@ -47,7 +47,7 @@ from mbtl.study.job import rehearse as rehearsed
 from mbtl.study.records import Failure, Pick, StudyFinished
 from mbtl.study.tell import sources_of
 from mbtl.study.time_limits import at_most, too_long
-from mbtl.study.trainings import Trainings
+from mbtl.study.trainings import Training
 from mbtl.trainers.contract import (
     FunctionTrainer,
     MeasuringTrainer,
@@ -254,7 +254,7 @@ class RunResult:
     study: Study
     curve: Array
     fresh: FreshValue | None
-    trainings: Trainings
+    trainings: tuple[Training, ...]
     failures: tuple[Failure, ...]
     stop_reason: str | None
     seconds: float

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import missing_extra
 from mbtl.study.leases import Watch
 from mbtl.study.records import Failure, PickRecord
 from mbtl.study.state import StudyState
@@ -79,31 +78,8 @@ class Training:
         return f"{where}{between}{self.how}" if self.how else where
 
 
-class Trainings(tuple[Training, ...]):
-    """Trainings in the order in which they were asked for, or told unasked."""
-
-    def to_frame(self) -> Any:
-        """A pandas table, a line per training; `context_<axis>` has the values of each axis.
-
-        Raises:
-            MissingExtra: pandas is not installed.
-        """
-        try:
-            import pandas
-        except ModuleNotFoundError as error:
-            raise missing_extra("pandas", "frames") from error
-        names = [f.name for f in fields(Training) if f.name != "context"]
-        lines = [
-            {name: getattr(one, name) for name in names[:3]}
-            | {f"context_{axis}": value for axis, value in one.context.items()}
-            | {name: getattr(one, name) for name in names[3:]}
-            for one in self
-        ]
-        return pandas.DataFrame(lines, columns=list(lines[0]) if lines else names)
-
-
-def trainings_of(state: StudyState, watch: Watch) -> Trainings:
-    """All of a study, as of this state."""
+def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
+    """All of a study, as of this state, in the order in which they were asked for, or told."""
     rows = {row.pick: place for place, row in enumerate(state.rows) if row.pick is not None}
     failures = {failure.pick: failure for failure in state.failures}
     curve = state.curve()
@@ -133,7 +109,7 @@ def trainings_of(state: StudyState, watch: Watch) -> Trainings:
             context = state.spec.space.context(row.source)
             unasked = Training(None, row.source, context, sources=row.sources)
             found.append((row.told_at, replace(unasked, **_told(state, curve, place))))
-    return Trainings(one for _, one in sorted(found, key=lambda pair: pair[0]))
+    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 
 def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
