@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import quick_problem
-from line_problem import evaluate, line
 
 import mbtl
 from flat import created, ran
 from mbtl.study.job import Job, perform_elsewhere
-from mbtl.study.tensorboard import TensorBoardCallback
 from mbtl.trainers import FunctionTrainer, Progress
 
 N = 15
@@ -123,20 +121,3 @@ def test_a_training_may_end_itself_early_also_elsewhere_and_none_is_needed_to_su
     assert result.value == -np.inf
     job = Job(trainer, [{"mass": 1.0}], 0, [{"mass": 1.0}], [0], None)
     assert perform_elsewhere(job).pruned
-
-
-def test_v_and_training_scalars_reach_tensorboard(tmp_path):
-    reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-
-    def train(context, seed, on_progress):
-        on_progress(Progress(50, 100, {"episode_return": 7.5}))
-        return context["x"]
-
-    study = created(line(9), budget=3, bounds=(0.0, 1.0))
-    study.run(train, evaluate, callbacks=[TensorBoardCallback(tmp_path)])
-    events = reader.EventAccumulator(str(tmp_path / "study")).Reload()
-    assert [e.value for e in events.Scalars("study/V")] == pytest.approx(study.curve, abs=1e-6)
-    assert [e.value for e in events.Scalars("study/source")] == [4.0, 7.0, 1.0]
-    (scalar,) = events.Scalars("source-0004/episode_return")
-    assert (scalar.step, scalar.value) == (50, 7.5)
-    assert np.isfinite(study.value)

@@ -18,7 +18,7 @@ _IDLE = 60.0
 """Seconds without any worker after which it is said."""
 
 
-def check_master(url: str, *, new: bool, parallel: int, tensorboard: Path | None) -> None:
+def check_master(url: str, *, new: bool, parallel: int) -> None:
     """Refuse options that mean nothing where others train.
 
     Raises:
@@ -29,13 +29,11 @@ def check_master(url: str, *, new: bool, parallel: int, tensorboard: Path | None
             f"--new sets a folder aside, and this study lives in {url}; name another one with "
             "--study FOLDER"
         )
-    given = {"--parallel": parallel > 1, "--tensorboard": tensorboard is not None}
-    for option, is_given in given.items():
-        if is_given:
-            raise InvalidInput(
-                f"with --workers nothing is trained here, got {option}; start as many `mbtl "
-                "worker` as you want trainings at a time"
-            )
+    if parallel > 1:
+        raise InvalidInput(
+            f"with --workers nothing is trained here, got --parallel {parallel}; start as many "
+            "`mbtl worker` as you want trainings at a time"
+        )
 
 
 def artifacts_for(url: str, given: str | None, folder: Path) -> str | None:
