@@ -16,7 +16,6 @@ from mbtl.errors import InvalidInput, StudyError
 from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
 from mbtl.study.heartbeat import Keeper
-from mbtl.study.study import PrintProgress
 from mbtl.trainers import Progress
 
 N = 12
@@ -313,20 +312,6 @@ def test_an_end_that_leaves_work_behind_is_known_until_the_last_of_it_is_taken_o
     assert list(place.glob(".study.db.*.lock"))
     assert second.ask() == held[1]
     assert not list(place.glob(".study.db.*.lock"))
-
-
-def test_what_a_worker_holds_that_nobody_surely_knows_to_be_gone_is_given_back_by_hand(
-    place, capsys
-):
-    dead = mbtl.load_study(place)
-    pick = dead.ask(lease=3600.0)
-    study = mbtl.load_study(place)
-    PrintProgress().on_waiting(study, [dead.worker])
-    assert f"`mbtl study release {place} {dead.worker}` hands them out" in capsys.readouterr().err
-    with pytest.raises(StudyError, match=f"'nobody' holds nothing; these do: {dead.worker}"):
-        study.release_all("nobody")
-    assert study.release_all(dead.worker) == 1
-    assert study.ask() == pick
 
 
 # ---- many threads, and other processes ----------------------------------------------------------

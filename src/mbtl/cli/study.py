@@ -1,4 +1,4 @@
-"""`mbtl study list|show|release|export`: what is in the runs folder, and what a study found."""
+"""`mbtl study list|show|export`: what is in the runs folder, and what a study found."""
 
 from __future__ import annotations
 
@@ -29,10 +29,7 @@ from mbtl.study.checks import replay
 from mbtl.study.database import shown
 from mbtl.study.listing import chosen_name, database_at, entry_of
 
-study_app = typer.Typer(
-    help="List, show and export studies, and give back what dead workers hold.",
-    no_args_is_help=True,
-)
+study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
 _Study = Annotated[
     str,
@@ -106,25 +103,6 @@ def show(
     else:
         show_summary(printer(), summary, opened.space)
         show_causes(printer(), summary, opened.space)
-
-
-@study_app.command("release")
-def release(
-    study: _Study,
-    worker: Annotated[str, typer.Argument(help="Its name, as a run that waits for it says it.")],
-    name: _Name = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Give back what a worker holds that has ended, so that others take it over at once.
-
-    Example: mbtl study release runs/cartpole-length-quick-seed0 host-1a2b3c
-    """
-    count = open_study(study, name).release_all(worker)
-    if as_json:
-        print_json({"released": count, "worker": worker})
-    else:
-        what = f"{count} {'training' if count == 1 else 'trainings'}"
-        printer().print(Text(f"{what} of {worker} will be handed out again"))
 
 
 @study_app.command("export")

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, few
+from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
@@ -382,27 +382,6 @@ class AskTell:
         if not isinstance(pick, Pick):
             pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
-
-    def release_all(self, worker: str) -> int:
-        """Give back all that a worker holds, if it is known to have ended; how many picks.
-
-        One that has not ended is told to stop by its next heartbeat.
-
-        Raises:
-            StudyError: it holds nothing.
-        """
-        state, holders = self.refresh(), sorted({lease.worker for lease in self.leases})
-        if worker not in holders:
-            who = f"these do: {few(holders, 10)}" if holders else "nobody does"
-            raise StudyError(
-                f"a worker gives back what it holds, and {worker!r} holds nothing; {who}"
-            )
-        numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
-        for number in numbers:
-            self.release(number)
-        if self.state.proposing is not None and self.state.proposing.worker == worker:
-            self._stop_proposing(self.state.proposing.token)
-        return len(numbers)
 
     # ---- telling ------------------------------------------------------------------------------
 

@@ -139,11 +139,6 @@ class Presence:
         except (OSError, Timeout, NotImplementedError):
             return False
 
-    def is_known(self, worker: str) -> bool:
-        """True where its end would be known at once."""
-        place = self._place(worker)
-        return place is not None and place.is_file()
-
     def _forget(self, worker: str, leases: Iterable[Lease]) -> None:
         place = self._place(worker)
         if place is None or any(one.worker == worker and one.seconds for one in leases):

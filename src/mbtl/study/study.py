@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import pickle
 import random
-import shlex
 import sys
 import time
 import uuid
@@ -40,7 +39,6 @@ from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure, few_episodes
 from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
-from mbtl.study.database import database_file, shown
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
@@ -382,7 +380,7 @@ class PrintProgress(Callback):
 
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:
         """Why nothing happens."""
-        self._say(waiting_words(study, others))
+        self._say(f"waiting for the last trainings of {', '.join(others)}")
 
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """How much is evaluated."""
@@ -408,27 +406,6 @@ def shared_words(others: Sequence[str]) -> str:
     """That other workers are at a study, in a sentence."""
     works = "works" if len(others) == 1 else "work"
     return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
-
-
-def waiting_words(study: Study, others: Sequence[str]) -> str:
-    """What a run waits for, and how not to wait for a worker of whose end nobody would know."""
-    said = f"waiting for the last trainings of {', '.join(others)}"
-    unknown = [one for one in others if not study.presence.is_known(one)]
-    if not unknown:
-        return said
-    return (
-        f"{said}; if {unknown[0]} has ended, `mbtl study release {place_words(study)} {unknown[0]}`"
-        " hands them out at once, and else its silence is waited for"
-    )
-
-
-def place_words(study: Study) -> str:
-    """What names a stored study on the command line."""
-    url = getattr(study.log, "url", "")
-    file = database_file(url)
-    if file is None:
-        return f"{shlex.quote(shown(url))} --name {shlex.quote(study.name)}"
-    return shlex.quote(str(file.parent if file.name == "study.db" else file))
 
 
 # ---- a run ------------------------------------------------------------------------------------
