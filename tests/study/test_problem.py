@@ -151,12 +151,12 @@ def test_a_run_that_joins_is_told_so(tmp_path, capsys):
     heard = []
 
     class Ear(Callback):
-        def on_shared(self, study, others):
-            heard.extend(others)
+        def on_note(self, study, words):
+            heard.append(words)
 
     study = mbtl.load_study(tmp_path / "s.db", problem=problem())
     study.run(callbacks=[Ear()], report=False)
-    assert heard == [first.worker]
+    assert heard[0].startswith(f"{first.worker} works on this study, too")
     assert f"{first.worker} works on this study, too" in capsys.readouterr().err
     assert len(study.state.rows) == 2  # the third is theirs
     assert np.isfinite(study.value)

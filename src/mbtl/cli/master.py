@@ -8,14 +8,12 @@ from pathlib import Path
 
 from mbtl.cli.common import console
 from mbtl.errors import InvalidInput
-from mbtl.study import Study, ask
+from mbtl.study import Study
 from mbtl.study.database import as_url, database_file
 from mbtl.study.study import estimate
 
-_LOOK, _LONGEST_LOOK = 0.1, 2.0
-"""Seconds between looks: often at first, seldom while nothing happens."""
-_IDLE = 60.0
-"""Seconds without any worker after which it is said."""
+_LOOK = 0.5
+"""Seconds between looks."""
 
 
 def check_master(url: str, *, new: bool, parallel: int) -> None:
@@ -65,7 +63,7 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
     if study.is_finished:
         return
     _say(f"start workers, as many as you like, wherever the database is reached:\n  {start}")
-    said, idle, pause = "", 0.0, _LOOK
+    said = ""
     while True:
         state = study.refresh()
         done = f"{state.spent_words(answered=True)} done"
@@ -77,13 +75,8 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
             _say(done)
         if study.is_finished:
             return
-        pause = _LOOK if done != said else min(1.5 * pause, _LONGEST_LOOK)
-        said, before = done, idle
-        busy = ask.others(state, study.watch(), study.worker) or state.proposing
-        idle = 0.0 if busy else idle + pause
-        if before <= _IDLE < idle and state.picks:
-            _say("nobody works on this study now; start workers, and it goes on")
-        time.sleep(pause)
+        said = done
+        time.sleep(_LOOK)
 
 
 def _say(line: str) -> None:

@@ -285,11 +285,8 @@ class Callback:
     once, and nothing is lost.
     """
 
-    def on_shared(self, study: Study, others: Sequence[str]) -> None:
-        """The run begins while other processes work on the same study; they share its picks."""
-
     def on_note(self, study: Study, words: str) -> None:
-        """A sentence that people should read."""
+        """A sentence that people should read, such as who else works on the study."""
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A pick was asked for and its training starts."""
@@ -320,14 +317,8 @@ class Callback:
         be saved here, or the process ended.
         """
 
-    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
-        """Nothing is left to do but what others are at; the run waits for them, or does it."""
-
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """The policies are now evaluated on fresh seeds, as often as the plan says."""
-
-    def on_report_failed(self, study: Study, reason: str) -> None:
-        """That evaluation failed; V on fresh episodes stays unknown."""
 
     def on_end(self, study: Study) -> None:
         """The run ends, also by an interrupt."""
@@ -344,10 +335,6 @@ class PrintProgress(Callback):
 
     def __init__(self, file: TextIO | None = None) -> None:
         self._file = file
-
-    def on_shared(self, study: Study, others: Sequence[str]) -> None:
-        """Who else works here."""
-        self._say(shared_words(others), style="yellow")
 
     def on_note(self, study: Study, words: str) -> None:
         """The sentence."""
@@ -378,17 +365,9 @@ class PrintProgress(Callback):
             "worker processes (Workers(2)) would be killed"
         )
 
-    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
-        """Why nothing happens."""
-        self._say(f"waiting for the last trainings of {', '.join(others)}")
-
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """How much is evaluated."""
         self._say(f"measuring V on fresh episodes: {plan}")
-
-    def on_report_failed(self, study: Study, reason: str) -> None:
-        """Why V stays an estimate."""
-        self._say(f"V on fresh episodes could not be measured: {reason}", style="red")
 
     def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
         """One line; of a pick that has ended, where it says so."""
@@ -400,12 +379,6 @@ def estimate(study: Study) -> str:
     now = study.routing.value
     bar = f" +- {now.margin:.4f}" if now.margin > 0.0 else ""
     return f"V = {now.value:.4f}{bar}, estimated"
-
-
-def shared_words(others: Sequence[str]) -> str:
-    """That other workers are at a study, in a sentence."""
-    works = "works" if len(others) == 1 else "work"
-    return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
 
 
 # ---- a run ------------------------------------------------------------------------------------
@@ -577,7 +550,7 @@ def _wait_for_others(
             return False
         if not announced:
             announced = True
-            announce("on_waiting", theirs)
+            announce("on_note", f"waiting for the last trainings of {', '.join(theirs)}")
         time.sleep(pause * random.uniform(0.5, 1.0))
         pause = min(1.5 * pause, _LONGEST_LOOK)
     return True
@@ -592,7 +565,11 @@ def _report(
     whole: bool,
 ) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
-    failed, beside = partial(announce, "on_report_failed"), study.beside
+    beside = study.beside
+
+    def failed(reason: str) -> None:
+        announce("on_note", f"V on fresh episodes could not be measured: {reason}")
+
     planned = partial(plan_to_do, study.state, study.policies, whole=whole, metrics=beside.metrics)
     if planned(baselines=beside.baselines) is None:
         return
@@ -640,10 +617,11 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
 def _announce_others(study: Study, announce: Callable[..., None]) -> None:
     """A second process joins on purpose or by mistake; people should know which."""
     others = ask.others(study.refresh(), study.watch(), study.worker)
-    if not others:
-        return
-    _logger.warning("%s", shared_words(others))
-    announce("on_shared", others)
+    if others:
+        works = "works" if len(others) == 1 else "work"
+        words = f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
+        _logger.warning("%s", words)
+        announce("on_note", words)
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
