@@ -336,12 +336,11 @@ class AskTell:
                 picks.append(self._ask(lease))
         return picks
 
-    def heartbeat(self, pick: Pick, *, steps: float | None = None) -> bool:
+    def heartbeat(self, pick: Pick) -> bool:
         """Say that a training goes on, and hear whether it should.
 
         Args:
             pick: what `ask` gave.
-            steps: environment steps done so far, for people.
 
         Returns:
             True: go on; the lease begins anew. False: stop, because the pick was given back,
@@ -350,7 +349,7 @@ class AskTell:
         held = self.refresh().open_picks.get(pick.number)
         if held is None or held.lease is None or held.lease.token != pick.token:
             return False
-        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps)
+        self.log.beat(pick.token, held.lease.seconds or 0.0)
         return True
 
     def pick(self, number: int) -> Pick:

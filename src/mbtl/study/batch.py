@@ -271,7 +271,6 @@ class Batches:
 
     def _progressed(self, pick: Pick, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
-        self.keeper.said(pick, progress)
         if self.keeper.is_lost(pick):
             raise _Stopped
 

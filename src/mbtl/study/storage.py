@@ -37,7 +37,7 @@ from mbtl.study.database import (
     open_database,
     shown,
 )
-from mbtl.study.events import KINDS, Beat, Event, Kind
+from mbtl.study.events import KINDS, Event, Kind
 
 if TYPE_CHECKING:
     import sqlalchemy as sa
@@ -69,12 +69,12 @@ class EventLog(Protocol):
         """Seconds since the epoch, by the one clock that also stamps the events."""
         ...
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """The holder of a lease lives, and will be heard of again within so many seconds."""
         ...
 
-    def beats(self) -> Mapping[str, Beat]:
-        """The last heartbeat of each lease, by its token."""
+    def beats(self) -> Mapping[str, float]:
+        """Until when each lease was last said to live, by its token."""
         ...
 
 
@@ -83,7 +83,7 @@ class MemoryLog:
 
     def __init__(self) -> None:
         self._events: list[Event] = []
-        self._beats: dict[str, Beat] = {}
+        self._beats: dict[str, float] = {}
         self._lock = threading.Lock()
 
     def append(self, event: Event, *, after: int) -> int:
@@ -104,11 +104,11 @@ class MemoryLog:
         """This process's clock."""
         return time.time()
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """Keep the last one of each lease."""
-        self._beats[token] = Beat(time.time() + seconds, steps)
+        self._beats[token] = time.time() + seconds
 
-    def beats(self) -> Mapping[str, Beat]:
+    def beats(self) -> Mapping[str, float]:
         """The last heartbeats."""
         return dict(self._beats)
 
@@ -203,12 +203,12 @@ class SqlLog:
         """The server's clock; of a file, this machine's."""
         return self._do(self._now)
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """Write the row of this lease; see `EventLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
-        facts = {"expires": clock(self._engine) + seconds, "steps": steps}
+        facts = {"expires": clock(self._engine) + seconds}
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: sa.Connection) -> None:
@@ -217,18 +217,14 @@ class SqlLog:
 
         self._do(write, writes=True)
 
-    def beats(self) -> Mapping[str, Beat]:
+    def beats(self) -> Mapping[str, float]:
         """The rows of this study; see `EventLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
 
-        def fetch(connection: sa.Connection) -> dict[str, Beat]:
-            columns = (t.c.token, t.c.expires, t.c.steps)
-            rows = connection.execute(sa.select(*columns).where(t.c.study == self.study))
-            return {token: Beat(*facts) for token, *facts in rows}
-
-        return self._do(fetch)
+        query = sa.select(t.c.token, t.c.expires).where(t.c.study == self.study)
+        return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
     # ---- inside ------------------------------------------------------------------------------
 

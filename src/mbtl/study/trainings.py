@@ -27,7 +27,7 @@ class Training:
         home_return: mean return on its own context, raw units; None where not evaluated.
         value: V after it, performance, by the rows that routed the policies; None unless told.
         seconds: wall time of training and evaluation; None: not known.
-        steps: environment steps that the training last reported; None: it reported none.
+        steps: environment steps of the training; None: it is not answered, or they are not known.
         cost: of the training, in the unit of the cost budget; None unless told.
         worker: name of who held it last; None: nobody did, or it is not known.
         seed: of the training; None where nobody asked for it.
@@ -87,7 +87,7 @@ def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
     for pick in state.picks:
         trouble = failures.get(pick.number) or state.deferred.get(pick.number)
         place = rows.get(pick.number)
-        told = {"steps": _reported(watch, pick)} | _told(state, curve, place)
+        told = _told(state, curve, place)
         asked = Training(
             pick.number,
             pick.source,
@@ -96,6 +96,7 @@ def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
             worker=pick.last_worker,
             seed=state.seed_of(pick),
             reason=pick.reason,
+            steps=None if trouble is None else trouble.steps,
             error=None if trouble is None else trouble.reason,
             sources=pick.sources,
             length=pick.length,
@@ -124,7 +125,7 @@ def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
         "seconds": row.seconds,
         "cost": row.cost,
         "place": place,
-        **({} if row.steps is None else {"steps": row.steps}),
+        "steps": row.steps,
     }
 
 
@@ -136,9 +137,3 @@ def _condition(state: StudyState, watch: Watch, pick: PickRecord, failure: Failu
     if pick.lease is None:
         return "waiting"
     return "stale" if watch.is_stale(pick.lease) else "running"
-
-
-def _reported(watch: Watch, pick: PickRecord) -> float | None:
-    """Steps by the last heartbeat of whoever held it last and said so."""
-    said = [watch.beat(token) for token in reversed(pick.tokens)]
-    return next((beat.steps for beat in said if beat is not None and beat.steps is not None), None)
