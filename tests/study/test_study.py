@@ -366,7 +366,7 @@ def told_partly(study, picks):
         ({"costs": np.zeros(N), "cost_budget": 9.0}, "20 numbers from 1e-30"),
         ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
         ({"costs": [1e-200, 1e200] + [1.0] * 18, "cost_budget": 9.0}, "from 1e-30 to 1e\\+30"),
-        ({"eval_targets": 0}, "targets of Evaluation must be from 1 to 20, got 0"),
+        ({"eval_targets": 0}, "evaluated on 1 to 20 targets, got 0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused_and_leave_nothing_behind(

@@ -14,7 +14,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
 from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
-from mbtl.selectors import SelectionProblem, Selector
+from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
@@ -118,7 +118,8 @@ def create_study(
         whole("seed", seed),
     )
     check_spec(spec)
-    _check_axes(chosen, spec.selection_problem())
+    if traits_of(chosen).one_axis:
+        _ = spec.selection_problem().line  # refuses several
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
@@ -184,6 +185,7 @@ def _spec(
     _check_stopping(end, pair)
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
+    targets = evaluation.targets
     return StudySpec(
         space,
         whole("budget", budget),
@@ -199,7 +201,7 @@ def _spec(
         described(dict(facts.settings)),
         _costs_of(None if cost is None else cost.per_context, space),
         real("risk", aim.risk),
-        _target_count(evaluation.targets, space.n),
+        None if targets is None else whole("targets of Evaluation", targets),
         real("confidence of Stopping", end.confidence),
         real("left of Stopping", end.left),
         finite("best_return", best),
@@ -355,22 +357,6 @@ def _check_stopping(end: Stopping, bounds: object) -> None:
         raise InvalidInput(
             f"confidence of Stopping is a probability in (0, 1), got {short(end.confidence)}"
         )
-
-
-def _check_axes(selector: Selector, problem: SelectionProblem) -> None:
-    """Contexts on several axes are not for every selector."""
-    if traits_of(selector).one_axis:
-        _ = problem.line  # refuses others
-
-
-def _target_count(count: int | None, n: int) -> int | None:
-    """A whole number from 1 to `n`, or None."""
-    if count is None:
-        return None
-    count = whole("targets of Evaluation", count)
-    if not 1 <= count <= n:
-        raise InvalidInput(f"targets of Evaluation must be from 1 to {n}, got {count}")
-    return count
 
 
 def _pair_of(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:

@@ -129,8 +129,10 @@ def check_spec(spec: StudySpec) -> None:
     spec.selection_problem()
     if spec.steps is not None and None in (spec.unit, spec.target_steps):
         raise InvalidInput("a study that counts steps must know those of a unit and of a target")
-    if spec.eval_targets is not None and spec.eval_targets > spec.space.n:
-        raise InvalidInput(f"eval_targets must be at most {spec.space.n}")
+    if spec.eval_targets is not None and not 1 <= spec.eval_targets <= spec.space.n:
+        raise InvalidInput(
+            f"policies are evaluated on 1 to {spec.space.n} targets, got {spec.eval_targets}"
+        )
 
 
 # ---- rules -------------------------------------------------------------------------------------
@@ -204,5 +206,6 @@ _SPEC: dict[str, Rule] = {
     **dict.fromkeys(("risk", "stop_confidence"), is_number),
     **dict.fromkeys(("theta", "stop_value", "stop_left"), or_null(is_number)),
     **dict.fromkeys(("cost_budget", "best_return", "floor"), or_null(is_number)),
-    **dict.fromkeys(("eval_targets", "steps", "unit", "target_steps"), or_null(is_count)),
+    "eval_targets": or_null(is_whole),
+    **dict.fromkeys(("steps", "unit", "target_steps"), or_null(is_count)),
 }
