@@ -220,7 +220,7 @@ def test_only_changed_settings_of_a_selector_are_stored():
 def test_a_report_that_does_not_fit_the_rows_is_refused_and_a_new_row_makes_it_void():
     study = created(SPACE, budget=3, bounds=(-20.0, 0.0))
     study.tell(study.ask(), np.zeros(15))
-    with pytest.raises(StudyError, match=r"shape \(15, episodes\)"):
+    with pytest.raises(InvalidInput, match=r"array `served` must hold numbers of shape \(15, 15\)"):
         study.record_fresh_returns(np.zeros((2, 15)), np.zeros((2, 15)), best_single=0)
     with pytest.raises(StudyError, match="of 2; evaluate again"):
         study.record_fresh_returns(np.zeros((15, 2)), np.zeros((15, 2)), best_single=0, rows=2)

@@ -657,25 +657,27 @@ class AskTell:
             rows: how many rows these are the routes of; None: those there are.
 
         Raises:
-            StudyError: of another shape, or rows were told since, which the report would not fit.
+            StudyError: rows were told since, which the report would not fit.
+            InvalidInput: they are of another shape.
         """
         others, units = dict(baselines or {}), {} if metrics is None else dict(self.beside.metrics)
         arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
         rows = len(self.refresh().rows) if rows is None else rows
-        shapes = [array.shape for array in (*arrays.values(), *others.values())]
         if others:
             arrays["baselines"] = np.array([*others.values()], float)
         if units:
             arrays["metrics"] = np.asarray(metrics, float)
 
         def reported(state: StudyState) -> Event:
-            n, told = self.space.n, len(state.rows)
-            if told != rows or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != n:
+            if (told := len(state.rows)) != rows:
                 raise StudyError(
-                    f"fresh returns must have shape ({n}, episodes) and be of the {told} policies "
-                    f"told, got {shapes} of {rows}; evaluate again"
+                    f"fresh returns are of the {told} policies told, got those of {rows}; evaluate "
+                    "again"
                 )
-            data: dict[str, Any] = {"episodes": shapes[0][1], "best_single": int(best_single)}
+            data: dict[str, Any] = {
+                "episodes": arrays["served"].shape[-1],
+                "best_single": int(best_single),
+            }
             if others:
                 data["baselines"] = [*others]
             if units:

@@ -15,8 +15,6 @@ from functools import partial
 from logging import getLogger
 from typing import Any
 
-import numpy as np
-
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
@@ -33,7 +31,6 @@ from mbtl.study.job import (
     perform_elsewhere,
 )
 from mbtl.study.records import Pick
-from mbtl.study.state import StudyState
 from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
 
@@ -44,8 +41,6 @@ _DIED = (
 )
 
 
-_LEAST_FREEDOM = 10
-"""Degrees of freedom, of contexts and their episodes, below which an interval says little."""
 _LATE = 30.0
 """Seconds after its time limit when a job is given up that has not ended itself: it is in native
 code that does not return, or its process took long to begin."""
@@ -124,7 +119,7 @@ class Batches:
                 if not in_time:
                     self._lose(pick)
                 elif trouble is None:
-                    self._announce_told(pick)
+                    self._announce("on_told", pick)
                 elif trouble.pruned and trouble.kept is None:
                     self._announce("on_pruned", pick, trouble.reason)
                 elif not again:
@@ -414,11 +409,6 @@ class Batches:
                     self._said.add(note)
                     self._announce("on_note", note)
 
-    def _announce_told(self, pick: Pick) -> None:
-        self._announce("on_told", pick)
-        if words := few_episodes(self.study.state, self.trainer):
-            self._announce("on_note", words)
-
     def _announce(self, method: str, *facts: Any) -> None:
         try:
             self.announce(method, *facts)
@@ -458,25 +448,6 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     if trouble.error is None or trouble.error.__traceback__ is None:  # of another process
         error.add_note(trouble.traceback)
     return error
-
-
-def few_episodes(state: StudyState, trainer: Trainer) -> str | None:
-    """That few episodes say little of chance; None: they say enough, or it was said.
-
-    It is said before the first training where the trainer knows how many it plays (its attribute
-    `eval_episodes`), and else after that.
-    """
-    rows, episodes = state.rows, getattr(trainer, "eval_episodes", None)
-    contexts = state.spec.eval_targets or state.spec.space.n
-    if len(rows) != (1 if episodes is None else 0):
-        return None
-    if episodes is None:
-        episodes, contexts = rows[0].episodes, int(np.isfinite(rows[0].returns).sum())
-    if (episodes - 1) * contexts >= _LEAST_FREEDOM:
-        return None
-    if episodes == 1:
-        return "one episode per context says nothing of chance: play 2 or more to know V's error"
-    return f"{episodes} episodes of so few contexts say little of chance: play more"
 
 
 def places_of(study: AskTell, pick: Pick) -> list[str]:

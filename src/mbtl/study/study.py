@@ -37,7 +37,7 @@ from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
-from mbtl.study.batch import Batches, brought_back, failure, few_episodes
+from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
@@ -439,8 +439,6 @@ def run(
             for failed in list(study.refresh().failures) if again else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
-            if not study.state.rows and (words := few_episodes(study.state, trainer)):
-                announce("on_note", words)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
