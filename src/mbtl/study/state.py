@@ -105,14 +105,18 @@ class StudyState:
         if not self.rows:
             raise StudyError("routes need the row of at least one policy, and none was told")
         if self._routing is None or len(self._routing) != len(self.rows):
-            spec, history = self.spec, self.history()
+            spec, history, earlier = self.spec, self.history(), self._routing
+            if earlier is not None:  # bounds that were not given move with the rows
+                first = history.rows[: len(earlier)]
+                same = np.array_equal(earlier.rows, first, equal_nan=True)
+                earlier = earlier if same else None
             self._routing = Routing(
                 spec.space,
                 history.sources,
                 history.rows,
                 self._episodes(),
                 risk=spec.risk,
-                earlier=self._routing,
+                earlier=earlier,
             )
         return self._routing
 
