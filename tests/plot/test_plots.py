@@ -94,7 +94,7 @@ def test_three_axes_are_a_map_at_the_middle_of_the_third_and_every_cell_is_the_r
     legend = legend_of(ax)
     assert set(legend) == set(study.routing.route.tolist())
     route = study.routing.route.reshape(3, 6, 5)[1]
-    assert ax.get_title("left") == "which policy serves at road dry"
+    assert ax.get_title("left") == "which policy serves at road = dry"
     mesh = ax.collections[0]
     shown = mesh.cmap(mesh.norm(np.asarray(mesh.get_array())))
     expected = np.array([[legend[p][1] for p in row] for row in route.T])
@@ -108,7 +108,7 @@ def test_more_axes_are_one_map_at_the_middle_of_the_others_and_points_one_of_all
     space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
     study = study_on(space, 2)
     ax = mbtl.plot.policy_map(study)
-    assert "at c 0.5, d 0.5" in ax.get_title("left")
+    assert "at c = 0.5, d = 0.5" in ax.get_title("left")
     middle = study.routing.route.reshape(5, 4, 3, 3)[:, :, 1, 1]
     codes = np.asarray(ax.collections[0].get_array())
     np.testing.assert_array_equal(codes.T, np.searchsorted(np.unique(study.routing.route), middle))

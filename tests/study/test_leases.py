@@ -145,7 +145,8 @@ def test_a_silent_worker_is_succeeded_and_its_row_comes_late(place, clock):
     assert second.tell(taken, row(taken.source))
     assert not first.tell(slow, row(slow.source))  # also after the answer
     assert (len(first.state.rows), len(first.state.failures)) == (1, 0)
-    assert [late.data["outcome"] for late in second.refresh().late] == ["told", "failed", "told"]
+    late = [event.data["outcome"] for event in second.log.read() if event.kind == "late"]
+    assert late == ["told", "failed", "told"]
     assert not first.policies
     late = next(event for event in second.log.read() if event.kind == "late")
     assert np.array_equal(late.arrays["returns"][:, 0], row(slow.source))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import Axis, Categorical, ContextSpace, Value
+from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.plot.style import (
     GREY,
@@ -159,12 +159,8 @@ def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, NDArray[n
         levels = list(dict.fromkeys(values))
         middle = levels[len(levels) // 2]
         here = here[[values[i] == middle for i in here]]
-        words.append(f"{axis.name} {_said(middle)}")
+        words.append(space.describe({axis.name: middle}))
     return f" at {', '.join(words)}" if words else "", here
-
-
-def _said(value: Value) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 # ---- inside --------------------------------------------------------------------------------------

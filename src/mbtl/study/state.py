@@ -46,8 +46,6 @@ class StudyState:
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
     """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
-    late: list[Event] = field(default_factory=list)
-    """Results of picks that were somebody else's by then; they count for nothing."""
     fresh: FreshReturns | None = None
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies, and own code; None: not known so far."""
@@ -459,7 +457,7 @@ class StudyState:
         self._forget()
 
     def _late(self, event: Event) -> None:
-        self.late.append(event)
+        """The pick was somebody else's by then, so it counts for nothing."""
 
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
