@@ -327,7 +327,8 @@ def found(place: Place) -> dict[str, int]:
     """What is in the log: every policy made again, every row by it, every step paid once."""
     study, trainer = place.study(), Stepping()
     state = study.state
-    told = [event.data for event in study.log.read() if event.kind == "told"]
+    events = study.log.read()
+    told = [event.data for event in events if event.kind == "told"]
     believed = [line.split() for line in (place.folder / "told").read_text().splitlines()]
     answers = {(str(one["pick"]), one["token"]) for one in told}
     made: dict[int, Any] = {}
@@ -358,7 +359,7 @@ def found(place: Place) -> dict[str, int]:
     numbers_believed = collections.Counter(line[0] for line in believed)
     return {
         "rows": len(state.rows),
-        "late": len(state.late),
+        "late": sum(event.kind == "late" for event in events),
         "taken_over": sum(max(len(pick.tokens) - 1, 0) for pick in state.picks),
         "lost": sum(tuple(line) not in answers for line in believed)
         + (place.answers - len(told) if study.is_finished else 0),

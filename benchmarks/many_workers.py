@@ -3,7 +3,7 @@
 workers      64 workers on one PostgreSQL server, trainings that sleep for a second: how often a
              pick was given twice, and which share of their time goes into ask, tell and training
 utilisation  eight trainings at a time with log-normal durations: the share of the slots' time that
-             trains, told as they come and, as the peer, in whole batches (deterministic=True)
+             trains, told as they come and, as the peer, in whole batches
 load         1,000,000 contexts: processor time and memory of `load_study`, per row
 
     python benchmarks/many_workers.py --parts workers,utilisation,load
@@ -126,7 +126,7 @@ def utilisation(slots: int, trainings: int, seconds: float, spread: float) -> No
     )
 
 
-def _share(space, slots, trainings, seconds, spread, deterministic):
+def _share(space, slots, trainings, seconds, spread, batches):
     busy, lock = [0.0], threading.Lock()
 
     def train(context, seed):
@@ -145,10 +145,16 @@ def _share(space, slots, trainings, seconds, spread, deterministic):
     )
     with ThreadPoolExecutor(slots) as pool:
         began = time.perf_counter()
-        study.run(
-            train, evaluate, workers=mbtl.Workers(slots, pool, deterministic),
-            progress=False, report=False, failures=mbtl.Failures(rehearse=False),
-        )  # fmt: skip
+        while batches and not study.is_finished:
+            picks = study.ask(slots)
+            policies = pool.map(lambda pick: train(pick.context, pick.seed), picks)
+            for pick, policy in zip(picks, policies, strict=True):
+                study.tell(pick, evaluate(policy, space.contexts, ()))
+        if not batches:
+            study.run(
+                train, evaluate, workers=mbtl.Workers(slots, pool),
+                progress=False, report=False, failures=mbtl.Failures(rehearse=False),
+            )  # fmt: skip
         return busy[0] / (slots * (time.perf_counter() - began))
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbtl.portfolio import Adaptive, Portfolio
+from mbtl.portfolio import Portfolio
 from mbtl.problems import cmdp_ids, get_cmdp
 from mbtl.selectors import get_selector
 from mbtl.zoo.benchmark import load_matrix
@@ -47,7 +47,7 @@ def reached(served: Portfolio, truth: np.ndarray, std: np.ndarray, explore: bool
     found = np.zeros(EPISODES)
     for x in contexts:
         for _ in range(DRAWS):
-            serving = Adaptive(served, EPISODES if explore else 1)
+            serving = served.adaptive(episodes=EPISODES if explore else 1)
             for t in range(EPISODES):
                 k = serving.next
                 found[t] += truth[k, x] / (len(contexts) * DRAWS)

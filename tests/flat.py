@@ -11,13 +11,8 @@ from mbtl.study.problem import ProblemFacts, facts_of
 from mbtl.trainers import FunctionTrainer
 
 _AIM = ("bounds", "direction", "risk", "best_return")
-_END = {
-    "stop_value": "value",
-    "stop_gain": "gain",
-    "stop_left": "left",
-    "stop_confidence": "confidence",
-}
-_RUN = ("parallel", "executor", "deterministic", "lease", "timeout")
+_END = {"stop_value": "value", "stop_left": "left", "stop_confidence": "confidence"}
+_RUN = ("parallel", "executor", "lease", "timeout")
 _FAIL = {
     "stop_after_failures": "most_in_a_row", "retries": "retries", "retry_failed": "retry_failed",
     "rehearse": "rehearse",

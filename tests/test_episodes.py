@@ -13,7 +13,6 @@ import mbtl
 from flat import created
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.objective import Bounds
-from mbtl.trainers import FunctionTrainer
 
 UNIT = Bounds(0.0, 1.0)
 
@@ -87,21 +86,6 @@ def test_two_episodes_on_20_of_400_contexts_say_v_on_every_line(capsys):
         value, half = (float(number) for number in said[-1].groups())
         assert abs(value - truth) < half < 0.2
         assert max(float(each.group(2)) for each in said) < 0.4
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_too_few_episodes_are_named_once_before_the_first_training_where_they_are_known(
-    capsys, known
-):
-    class Known(FunctionTrainer):
-        eval_episodes = 2
-
-    def run(study, *functions, **wishes):
-        study.run(trainer=(Known if known else FunctionTrainer)(*functions), **wishes)
-
-    lines, _ = noisy_run(capsys, 5, 0, 3, run)
-    assert [("play more" in line) for line in lines] == [known, not known, False, False]
-    assert lines[not known] == "2 episodes of so few contexts say little of chance: play more"
 
 
 @pytest.mark.parametrize(

@@ -126,8 +126,8 @@ def test_names_of_own_objects(name):
 
 SETTINGS = (
     "budget", "strategy", "bounds", "direction", "objective", "evaluation", "stopping", "seed",
-    "stop_value", "cost_budget", "costs", "risk", "eval_targets", "stop_gain", "stop_confidence",
-    "stop_left", "best_return", "theta", "trial",
+    "stop_value", "cost_budget", "costs", "risk", "eval_targets", "stop_left", "stop_confidence",
+    "best_return", "theta", "trial",
 )  # fmt: skip
 LIKELY = {
     "budget": st.integers(1, 5),

@@ -34,7 +34,7 @@ def test_the_command_says_what_to_install_and_what_needs_no_extra_works_without(
         "problem = mbtl.CMDP.from_functions('own', space, train=lambda c, s: c['x'], budget=2,\n"
         "    evaluate=lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"
     )
-    every = [*TRAIN, "gymnasium", "matplotlib", "tensorboard", "jax"]
+    every = [*TRAIN, "gymnasium", "matplotlib", "jax"]
     cases = (
         (every, ["run", "own.py:problem"], "0", ""),
         (every, ["cmdps"], "0", ""),

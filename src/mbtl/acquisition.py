@@ -249,17 +249,12 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def chance(self, source: int, least: float) -> float:
-        """Probability that one training on `source` gains `least` or more.
-
-        Without those ceilings, so that a study ends rather too late than too early.
-        """
-        return self.chance_together(np.array([source]), self.targets, least)
-
     def chance_together(
         self, sources: NDArray[np.intp], targets: NDArray[np.intp], least: float
     ) -> float:
         """Probability that trainings on all of M sources together gain `least` or more.
+
+        Without those ceilings, so that a study ends rather too late than too early.
 
         Args:
             sources: (M,) contexts, one training on each.

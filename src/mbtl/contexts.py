@@ -41,8 +41,8 @@ MOST = 10_000_000
 """Contexts of a space: a few GB."""
 SINGLE = 2.0**-22
 """Two units in the last place of single precision: what float32 does to a number, relatively."""
-_LEAST_ROUNDING, _MOST_ROUNDING = 1e-9, 1e-3
-"""Share of an axis that rounding may move a value by: of sums and powers, and at most."""
+_ROUNDING = 1e-5
+"""Share of an axis that rounding, of single precision too, may move a value by."""
 _DIGITS = 9
 """Contexts whose unit-cube coordinates agree to this many digits are the same context."""
 
@@ -62,11 +62,6 @@ class Axis(ABC):
     @abstractmethod
     def width(self) -> int:
         """Number of unit-cube columns."""
-
-    @property
-    def rounding(self) -> float:
-        """How far apart in the unit cube two values may be that are one in single precision."""
-        return _LEAST_ROUNDING
 
     @abstractmethod
     def own(self, values: Sequence[Any]) -> list[Value]:
@@ -138,15 +133,9 @@ class _Numeric(Axis):
         return number
 
     @property
-    def rounding(self) -> float:
-        """Of the largest values; see `Axis.rounding`."""
-        largest = max(abs(self.low), abs(self.high))
-        return _rounding(SINGLE * (largest / (self.high - self.low)))
-
-    @property
     def _limits(self) -> tuple[float, float]:
         """Low and high, with room for rounding."""
-        slack = self.rounding * (self.high - self.low)
+        slack = _ROUNDING * (self.high - self.low)
         return self.low - slack, self.high + slack
 
     def _checked(self, values: Sequence[Value]) -> Array:
@@ -195,14 +184,8 @@ class Log(_Numeric):
             )
 
     @property
-    def rounding(self) -> float:
-        """The same for all values; see `Axis.rounding`."""
-        return _rounding(SINGLE / math.log(self.high / self.low))
-
-    @property
     def _limits(self) -> tuple[float, float]:
-        slack = (self.high / self.low) ** self.rounding
-        return self.low / slack, self.high * slack
+        return self.low * (1.0 - SINGLE), self.high * (1.0 + SINGLE)
 
     def encode(self, values: Sequence[Value]) -> Array:
         """Unit column, proportional to the logarithm of the value."""
@@ -225,11 +208,6 @@ class Integer(_Numeric):
             )
 
     @property
-    def rounding(self) -> float:
-        """That of sums alone, since neighbouring numbers are others; see `Axis.rounding`."""
-        return _LEAST_ROUNDING
-
-    @property
     def _limits(self) -> tuple[float, float]:
         return self.low, self.high  # values are whole by then
 
@@ -239,7 +217,7 @@ class Integer(_Numeric):
 
     def _whole(self, value: Any) -> int:
         whole: int = round(value)
-        if abs(value - whole) <= _rounding(SINGLE * abs(value)):
+        if abs(value - whole) <= _ROUNDING:
             return whole
         raise ContextMismatch(f"axis {self.name!r} takes whole numbers, got {value!r}; use Linear")
 
@@ -346,10 +324,6 @@ def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
             f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
         )
     return axis.spread(count)
-
-
-def _rounding(share: float) -> float:
-    return min(max(share, _LEAST_ROUNDING), _MOST_ROUNDING)
 
 
 def _check_names(name: str, unit: str) -> None:
@@ -557,7 +531,7 @@ class ContextSpace:
         found = self._lookup.get(_key(unit))
         if found is None:
             apart = np.abs(self.unit - unit)
-            same = np.flatnonzero((apart <= self._rounding).all(axis=1))
+            same = np.flatnonzero((apart <= _ROUNDING).all(axis=1))
             if len(same) == 1:
                 return int(same[0])
             near = int(np.argmin((apart**2).sum(axis=1)))
@@ -658,11 +632,6 @@ class ContextSpace:
     @cached_property
     def _lookup(self) -> dict[tuple[float, ...], int]:
         return {_key(row): i for i, row in enumerate(self.unit)}
-
-    @cached_property
-    def _rounding(self) -> Array:
-        """(D,) distances in the unit cube at which two values are one in single precision."""
-        return np.repeat([a.rounding for a in self.axes], [a.width for a in self.axes])
 
     @cached_property
     def _levels(self) -> list[list[Value]]:

@@ -157,7 +157,7 @@ class Routing:
         self.space, self.sources, self.rows, self.risk = space, tuple(sources), rows, risk
         self.episodes = episodes
         self._before: dict[int, Routing] = {}
-        if earlier is not None and self._goes_on(earlier):
+        if earlier is not None:
             self._before = {**earlier._before, len(earlier): earlier}
 
     def __len__(self) -> int:
@@ -230,16 +230,6 @@ class Routing:
     def noise_is_known(self) -> bool:
         """False where no scatter of episodes was told: how much chance there is nobody can say."""
         return self.episodes is not None and self.episodes.several
-
-    def _goes_on(self, earlier: Routing) -> bool:
-        k = len(earlier)
-        same = earlier.space is self.space and earlier.risk == self.risk
-        return (
-            same
-            and earlier.sources == self.sources[:k]
-            and np.array_equal(earlier.rows, self.rows[:k], equal_nan=True)
-            and _same_episodes(earlier.episodes, self.episodes, k)
-        )
 
     def _valued(self, alone: int | None) -> Valuation:
         """V, or what it is more than that of one policy."""
@@ -394,12 +384,3 @@ class Routing:
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(spread)))
         drawn[:, unsure] = believed + normal @ root.T
         return drawn
-
-
-def _same_episodes(earlier: Episodes | None, now: Episodes | None, k: int) -> bool:
-    if earlier is None or now is None:
-        return earlier is now
-    pairs = zip(earlier.returns, now.returns[:k], strict=True)
-    return earlier.bounds == now.bounds and all(
-        one is other or np.array_equal(one, other, equal_nan=True) for one, other in pairs
-    )

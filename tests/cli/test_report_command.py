@@ -1,14 +1,11 @@
-import io
 import json
 import re
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import mbtl
 from flat import created
-from mbtl.cli import study
 from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark import TransferMatrix
 
@@ -115,18 +112,3 @@ def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_pat
     assert lines[0] == ("policy,sources,start,length,source_x,target,target_x,return,std,episodes")
     assert lines[1].startswith("0,0 1 2 3 4 5 6 7 8 9 10 11,,1.0,,0,")
     assert len(lines) == 1 + 2 * 12
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_watching_goes_on_until_the_study_ends_where_there_is_a_terminal(
-    stored, tmp_path, monkeypatch, terminal
-):
-    screen = Console(file=io.StringIO(), force_terminal=terminal, width=90)
-    monkeypatch.setattr(study, "printer", lambda: screen)
-    monkeypatch.setattr(study.time, "sleep", lambda seconds: tell_one(stored))
-    study.show(str(tmp_path / "s"), live=2.0)
-    text = screen.file.getvalue()
-    assert "1 of 2 trainings asked for" in text
-    assert re.search(r"1\s+x = 0.\d+ m", text)
-    said = "The study is finished: the budget of 2 trainings is spent."
-    assert (said in text) == terminal

@@ -10,7 +10,7 @@ OURS = r"mbtl (?:run|check|play|matrix build|matrix multitask) "
 NEEDS = {
     "jax": OURS + "(?:cartpole|pendulum|walker|cheetah|ring|ramp|eco|signal)-",
     "envs": OURS + r"(?:walker|cheetah)-|make\(\"(?:HalfCheetah|BipedalWalker)",
-    "train": r"CMDP\.from_env|--tensorboard|SB3Trainer\(",
+    "train": r"CMDP\.from_env|SB3Trainer\(",
     "traffic": OURS + r"(?:ring|ramp|eco|signal)-|netgenerate|mbtl\.cmdps\.traffic|play runs/ring",
     "plots": r"mbtl report|mbtl\.plot\.|--film",
     "frames": r"\.to_frame\(",

@@ -6,7 +6,7 @@ import pytest
 import mbtl
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
-from mbtl.portfolio import Adaptive, Portfolio
+from mbtl.portfolio import Portfolio
 from mbtl.portfolio import adaptive as module
 
 
@@ -54,7 +54,7 @@ def test_ten_episodes_reach_what_telling_the_context_does(direction):
     served = portfolio(means, direction=direction)
     rng, reached = np.random.default_rng(0), []
     for true in range(11):
-        serving = Adaptive(served)
+        serving = served.adaptive()
         for _ in range(10):
             serving.observe(float(rng.normal(means[serving.next, true], 5.0)))
         reached.append(served.performance[serving.played[-1][0], true])

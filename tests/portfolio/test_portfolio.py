@@ -163,14 +163,15 @@ def test_smaller_is_better_when_the_bounds_say_so():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"returns": RETURNS[:1]}, "returns of shape"),
-        ({"sources": (0, 5)}, "context indices 0..4"),
+        ({"returns": RETURNS[:1]}, r"returns of shape \(1, 5\)"),
+        ({"sources": (0, 5)}, r"sources \(0, 5\)"),
         ({"sources": (), "returns": np.empty((0, 5))}, "one or more policies"),
+        ({"sets": {2: (0,)}}, r"sets \{2: \(0,\)\}"),
         ({"returns": RETURNS - np.inf}, "returns must be within"),
         ({"returns": np.full((2, 5), np.nan)}, "return of at least one"),
-        ({"episodes": [np.zeros((5, 2))]}, "for each of 2 policies"),
-        ({"episodes": [np.zeros((5, 2)), np.zeros((5, 0))]}, r"returns of shape \(5, episodes\)"),
-        ({"policy_folders": (None,)}, "one folder or None per policy"),
+        ({"episodes": [np.zeros((5, 2))]}, r"shapes \[\(5, 2\)\]"),
+        ({"episodes": [np.zeros((5, 2)), np.zeros((5, 0))]}, r"shapes \[\(5, 2\), \(5, 0\)\]"),
+        ({"policy_folders": (None,)}, "1 folders"),
     ],
 )
 def test_parts_that_do_not_fit_are_refused(changes, message):

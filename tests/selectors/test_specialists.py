@@ -96,11 +96,11 @@ def test_with_a_risk_only_the_worst_targets_count():
 def test_chance_of_a_gain_falls_with_what_is_asked():
     problem, chances = line(50), []
     history = History(50).with_row(24, reach(50, 24, 10, 10))
-    for least in (1e-4, 0.05, 0.9):
-        wish = replace(problem, least_gain=least)
-        chances.append(Specialists().propose(wish, history, RNG).chance)
+    for least in (0.05, 0.25, 0.9):
+        wish = replace(problem, least_left=least)
+        chances.append(Specialists().propose(wish, history, RNG).chance_left)
     assert chances[0] > chances[1] > chances[2] == 0.0
-    assert Specialists().propose(problem, history, RNG).chance is None
+    assert Specialists().propose(problem, history, RNG).chance_left is None
 
 
 def test_noise_told_is_not_taken_for_a_gain():
@@ -145,18 +145,6 @@ def test_little_is_said_to_be_left_where_hard_targets_are_served_as_well_as_they
         history = history.with_row(source, ceiling - 0.2 * far)
     proposal = Specialists().propose(line(n), history, RNG)
     assert proposal.acquisition < 0.015  # 0.05 without ceilings
-
-
-def test_the_chance_is_that_of_the_largest_gain_not_of_the_cheapest():
-    n = 40
-    history = History(n)
-    for source in (4, 14):
-        history = history.with_row(source, 0.9 - 0.04 * np.abs(np.arange(n) - source))
-    costs = np.where(np.arange(n) < 20, 0.001, 10.0)
-    problem = replace(line(n), costs=costs, least_gain=0.02)
-    proposal = Specialists().propose(problem, history, RNG)
-    assert proposal.source < 20
-    assert proposal.chance > 0.5
 
 
 def hills():

@@ -179,19 +179,18 @@ def test_selectors_see_specialists_only():
     [
         (Proposal(0, "x", start=4), "policy of a row, 0 to 0, got start=4"),
         (Proposal(0, "x", length=-1.0), "a length >= 0 in units, got -1"),
-        (Proposal(0, "x", length=0.0), r"names the policy, start=, and its targets="),
+        (Proposal(0, "x", length=0.0), r"has a start= and targets="),
         (Proposal(3, "x", start=0, length=0.5, sources=ALL), "goes on beyond the 1 units"),
         (Proposal(3, "x", start=0, length=9.0, sources=ALL), "got 8 units where 1 are spent"),
         (Proposal(3, "x", sources=(1, 2)), "with `source` among them, got 3"),
         (Proposal(3, "x", sources=(3, 3)), "different ones of several"),
     ],
 )
-def test_a_strategy_that_breaks_its_contract_is_named(proposal, words):
+def test_a_strategy_that_breaks_its_contract_is_refused(proposal, words):
     study = study_of(Scripted((EVERYBODY, proposal)))
     study.tell(study.ask(), np.full(N, 0.5))
-    with pytest.raises(InvalidInput, match=words) as caught:
+    with pytest.raises(InvalidInput, match=words):
         study.ask()
-    assert "'scripted'" in str(caught.value)
     assert len(study.state.picks) == 1
 
 
@@ -203,7 +202,7 @@ def test_neither_a_selector_nor_a_trainer_of_one_context_is_asked_for_more():
     with pytest.raises(InvalidInput, match=r"says so by traits = Traits\(any_training=True\)"):
         study_of(Bold((EVERYBODY,))).ask()
     study = study_of(Scripted((EVERYBODY,)))
-    with pytest.raises(InvalidInput, match="cannot do what 'scripted' asks for, one policy on"):
+    with pytest.raises(InvalidInput, match="cannot train one policy on several contexts"):
         study.run(lambda context, seed: 1.0, lambda p, c, s: np.ones(len(c)), progress=False)
 
 
@@ -220,6 +219,19 @@ def test_a_policy_that_was_taken_back_is_not_begun_with():
     assert not study.state.open_picks
 
 
+@dataclass(frozen=True)
+class WhenTold(Scripted):
+    """Goes on with a training when that is told, whichever row it has."""
+
+    def propose(self, problem, history, rng):
+        asked = super().propose(problem, history, rng)
+        if asked.start is None:
+            return asked
+        if asked.source not in history.sources:
+            raise Exhausted("it is in training")
+        return replace(asked, start=history.sources.index(asked.source))
+
+
 def test_sets_and_what_goes_on_are_trained_in_other_processes(tmp_path):
     everybody = Proposal(7, "all", length=0.5, sources=tuple(range(15)))
     further = replace(everybody, reason="longer", start=0, length=1.0)
@@ -227,10 +239,9 @@ def test_sets_and_what_goes_on_are_trained_in_other_processes(tmp_path):
     for parallel in (1, 2):
         study = mbtl.create_study(
             quick_problem.SPACE, budget=2, storage=tmp_path / f"{parallel}.db",
-            strategy=Scripted((everybody, Proposal(2, "alone", length=0.3), further)),
+            strategy=WhenTold((everybody, Proposal(2, "alone", length=0.3), further)),
         )  # fmt: skip
-        ran(study, trainer=quick_problem.ANY_TRAINER, parallel=parallel, deterministic=True,
-            report=False)  # fmt: skip
+        ran(study, trainer=quick_problem.ANY_TRAINER, parallel=parallel, report=False)
         rows = sorted(study.state.rows, key=lambda row: (len(row.sources), row.length))
         found.append([(row.sources, row.length, row.returns.tolist()) for row in rows])
         assert [row.length for row in rows] == [0.3, 0.5, 1.0]

@@ -1,18 +1,15 @@
 """What people ask a study for: its trainings as lines, what a run gave, ending early."""
 
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import quick_problem
-from line_problem import evaluate, line
 
 import mbtl
 from flat import created, ran
 from mbtl.study.job import Job, perform_elsewhere
-from mbtl.study.tensorboard import TensorBoardCallback
 from mbtl.trainers import FunctionTrainer, Progress
 
 N = 15
@@ -36,8 +33,7 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
     study = study_of(tmp_path / "s.db", budget=6)
     done, failed, pruned, back, _ = (study.ask() for _ in range(5))
     study.tell(done, np.linspace(-9.0, -1.0, N), seconds=3.0, steps=500)
-    study.heartbeat(failed, steps=70)
-    study.fail(failed, "diverged")
+    study.fail(failed, "diverged", steps=70)
     study.fail(pruned, "not worth it", pruned=True)
     study.release(back)
     study.tell(1, np.full(N, -5.0))
@@ -52,19 +48,6 @@ def test_trainings_say_what_became_of_each_pick_and_of_rows_nobody_asked_for(tmp
     assert (lines[1].error, lines[1].steps) == ("diverged", 70.0)
     assert {line.worker for line in lines} == {study.worker, None}
     assert study.trainings == mbtl.load_study(tmp_path / "s.db").trainings
-
-
-def test_a_frame_has_a_line_per_training_and_a_column_per_axis(monkeypatch):
-    pytest.importorskip("pandas")
-    study = study_of()
-    assert study.trainings.to_frame().empty
-    pick = study.ask()
-    study.tell(pick, np.zeros(N))
-    frame = study.trainings.to_frame()
-    assert frame[["context_mass", "state"]].values.tolist() == [[pick.context["mass"], "done"]]
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
-        study.trainings.to_frame()
 
 
 def test_a_run_says_what_it_gave():
@@ -137,20 +120,3 @@ def test_a_training_may_end_itself_early_also_elsewhere_and_none_is_needed_to_su
     assert result.value == -np.inf
     job = Job(trainer, [{"mass": 1.0}], 0, [{"mass": 1.0}], [0], None)
     assert perform_elsewhere(job).pruned
-
-
-def test_v_and_training_scalars_reach_tensorboard(tmp_path):
-    reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-
-    def train(context, seed, on_progress):
-        on_progress(Progress(50, 100, {"episode_return": 7.5}))
-        return context["x"]
-
-    study = created(line(9), budget=3, bounds=(0.0, 1.0))
-    study.run(train, evaluate, callbacks=[TensorBoardCallback(tmp_path)])
-    events = reader.EventAccumulator(str(tmp_path / "study")).Reload()
-    assert [e.value for e in events.Scalars("study/V")] == pytest.approx(study.curve, abs=1e-6)
-    assert [e.value for e in events.Scalars("study/source")] == [4.0, 7.0, 1.0]
-    (scalar,) = events.Scalars("source-0004/episode_return")
-    assert (scalar.step, scalar.value) == (50, 7.5)
-    assert np.isfinite(study.value)

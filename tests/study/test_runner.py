@@ -2,7 +2,7 @@
 
 import os
 import signal
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -83,24 +83,6 @@ def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     assert not study.state.failures
     study.run(trainer=counting([]), report=False)
     assert len(study.state.rows) == 4
-
-
-def test_whole_batches_give_one_study_whatever_interrupts(tmp_path):
-    """The order of completion does not matter either."""
-
-    class Stop(Callback):
-        def on_told(self, study, pick):
-            if pick.number == 2:
-                raise KeyboardInterrupt
-
-    with ThreadPoolExecutor(2) as pool:
-        how = {"trainer": TRAINER, "parallel": 2, "deterministic": True, "executor": pool}
-        calm, study = ran(new(None), **how).study, new(tmp_path / "s.db")
-        with pytest.raises(KeyboardInterrupt):
-            ran(study, callbacks=[Stop()], **how)
-        ran(mbtl.load_study(tmp_path / "s.db"), **how)
-    assert [p.source for p in calm.state.picks] == [p.source for p in study.refresh().picks]
-    assert np.array_equal(study.curve, calm.curve)
 
 
 def test_callbacks_hear_everything(tmp_path):
@@ -226,7 +208,7 @@ def test_settings_read_back_as_they_compare(tmp_path):
         new(tmp_path / "s.db", settings={"net": (64, 64), "rate": 1e-3})
     for rate in (np.float64(1e-3), lambda left: 1e-3 * left):
         new(tmp_path / "by_value.db", settings={"rate": rate}, name=type(rate).__name__)
-    with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'python3"):
+    with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'source:"):
         new(tmp_path / "by_value.db", settings={"rate": lambda left: 1e-3}, name="function")
 
 
@@ -238,7 +220,7 @@ def test_only_changed_settings_of_a_selector_are_stored():
 def test_a_report_that_does_not_fit_the_rows_is_refused_and_a_new_row_makes_it_void():
     study = created(SPACE, budget=3, bounds=(-20.0, 0.0))
     study.tell(study.ask(), np.zeros(15))
-    with pytest.raises(StudyError, match=r"shape \(15, episodes\)"):
+    with pytest.raises(InvalidInput, match=r"array `served` must hold numbers of shape \(15, 15\)"):
         study.record_fresh_returns(np.zeros((2, 15)), np.zeros((2, 15)), best_single=0)
     with pytest.raises(StudyError, match="of 2; evaluate again"):
         study.record_fresh_returns(np.zeros((15, 2)), np.zeros((15, 2)), best_single=0, rows=2)
@@ -251,8 +233,8 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
     said = []
 
     class Ear(Callback):
-        def on_report_failed(self, study, reason):
-            said.append(reason)
+        def on_note(self, study, words):
+            said.append(words)
 
     def evaluate(policy, contexts, seeds):
         if seeds[0] >> 28 == 2:  # the fresh seeds
@@ -262,7 +244,7 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
     trainer = replace(TRAINER, evaluate_fn=evaluate)
     study = new(tmp_path / "s.db", budget=1).run(trainer=trainer, callbacks=[Ear()]).study
     assert study.is_finished
-    assert said == ["RuntimeError: licence expired"]
+    assert said[-1].endswith("could not be measured: RuntimeError: licence expired")
 
 
 def test_the_first_picks_of_parallel_workers_spread_out():

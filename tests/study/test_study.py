@@ -264,16 +264,16 @@ def test_a_study_of_the_worst_share_values_it():
     assert study.value == pytest.approx(np.sort(best)[:2].mean())
 
 
-def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_path):
-    study = new(tmp_path, strategy="auto", budget=20, stop_gain=0.02, stop_confidence=0.8)
-    with pytest.raises(StudyFinished, match=r"one more training gains less than 0\.02"):
+def test_the_study_ends_when_all_that_is_left_is_predicted_to_gain_little(tmp_path):
+    study = new(tmp_path, strategy="auto", budget=20, stop_left=0.02, stop_confidence=0.8)
+    with pytest.raises(StudyFinished, match=r"left together gain less than 0\.02"):
         told(study, 20)
     done = len(study.state.rows)
     assert 1 < done < 15
     assert study.is_finished
     again = mbtl.load_study(tmp_path)
     assert again.is_finished
-    assert "gains less than" in again.stop_reason
+    assert "gain less than" in again.stop_reason
     again.tell(0, row(0))  # news: it asks the selector once more
     assert again.stop_reason is None
 
@@ -289,7 +289,7 @@ def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
 
 
 def test_a_failed_pick_takes_back_what_was_predicted_with_it():
-    study = told(new(strategy="auto", budget=20, stop_gain=0.02, stop_confidence=0.8), 2)
+    study = told(new(strategy="auto", budget=20, stop_left=0.02, stop_confidence=0.8), 2)
     pick = study.ask()
     study._commit(lambda state: Event("stopped", {"reason": "it seemed so"}))
     assert study.stop_reason == "it seemed so"
@@ -353,10 +353,8 @@ def told_partly(study, picks):
         ({"bounds": None, "stop_value": 0.5}, "needs bounds"),
         ({"bounds": None, "stop_left": 0.01}, "left of Stopping"),
         ({"stop_left": -1.0}, "left of Stopping"),
-        ({"bounds": None, "stop_gain": 0.02}, "needs bounds"),
-        ({"strategy": "mbtl", "stop_gain": 0.02}, "needs a strategy that predicts chances"),
-        ({"stop_gain": 0.02, "stop_confidence": 1.0}, "probability in"),
-        ({"stop_gain": float("inf")}, "gain of Stopping must be finite and > 0"),
+        ({"stop_left": 0.02, "stop_confidence": 1.0}, "probability in"),
+        ({"stop_left": float("inf")}, "left of Stopping must be finite and > 0"),
         ({"stop_value": np.nan}, "value of Stopping must be finite, from"),
         ({"stop_value": 1.5}, r"at most 1 \(the better bound\), got 1.5"),
         ({"risk": "x"}, "risk must be a number"),
@@ -368,7 +366,7 @@ def told_partly(study, picks):
         ({"costs": np.zeros(N), "cost_budget": 9.0}, "20 numbers from 1e-30"),
         ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
         ({"costs": [1e-200, 1e200] + [1.0] * 18, "cost_budget": 9.0}, "from 1e-30 to 1e\\+30"),
-        ({"eval_targets": 0}, "targets of Evaluation must be from 1 to 20, got 0"),
+        ({"eval_targets": 0}, "evaluated on 1 to 20 targets, got 0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused_and_leave_nothing_behind(

@@ -8,17 +8,15 @@ from pathlib import Path
 
 from mbtl.cli.common import console
 from mbtl.errors import InvalidInput
-from mbtl.study import Study, ask
+from mbtl.study import Study
 from mbtl.study.database import as_url, database_file
 from mbtl.study.study import estimate
 
-_LOOK, _LONGEST_LOOK = 0.1, 2.0
-"""Seconds between looks: often at first, seldom while nothing happens."""
-_IDLE = 60.0
-"""Seconds without any worker after which it is said."""
+_LOOK = 0.5
+"""Seconds between looks."""
 
 
-def check_master(url: str, *, new: bool, parallel: int, tensorboard: Path | None) -> None:
+def check_master(url: str, *, new: bool, parallel: int) -> None:
     """Refuse options that mean nothing where others train.
 
     Raises:
@@ -29,13 +27,11 @@ def check_master(url: str, *, new: bool, parallel: int, tensorboard: Path | None
             f"--new sets a folder aside, and this study lives in {url}; name another one with "
             "--study FOLDER"
         )
-    given = {"--parallel": parallel > 1, "--tensorboard": tensorboard is not None}
-    for option, is_given in given.items():
-        if is_given:
-            raise InvalidInput(
-                f"with --workers nothing is trained here, got {option}; start as many `mbtl "
-                "worker` as you want trainings at a time"
-            )
+    if parallel > 1:
+        raise InvalidInput(
+            f"with --workers nothing is trained here, got --parallel {parallel}; start as many "
+            "`mbtl worker` as you want trainings at a time"
+        )
 
 
 def artifacts_for(url: str, given: str | None, folder: Path) -> str | None:
@@ -67,7 +63,7 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
     if study.is_finished:
         return
     _say(f"start workers, as many as you like, wherever the database is reached:\n  {start}")
-    said, idle, pause = "", 0.0, _LOOK
+    said = ""
     while True:
         state = study.refresh()
         done = f"{state.spent_words(answered=True)} done"
@@ -79,13 +75,8 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
             _say(done)
         if study.is_finished:
             return
-        pause = _LOOK if done != said else min(1.5 * pause, _LONGEST_LOOK)
-        said, before = done, idle
-        busy = ask.others(state, study.watch(), study.worker) or state.proposing
-        idle = 0.0 if busy else idle + pause
-        if before <= _IDLE < idle and state.picks:
-            _say("nobody works on this study now; start workers, and it goes on")
-        time.sleep(pause)
+        said = done
+        time.sleep(_LOOK)
 
 
 def _say(line: str) -> None:

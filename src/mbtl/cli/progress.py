@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
@@ -26,18 +27,19 @@ class LiveProgress(PrintProgress):
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=20),
             TextColumn("{task.percentage:>3.0f}%"),
+            TimeRemainingColumn(),
             TextColumn("{task.fields[note]}", markup=False),
             console=console,
             transient=True,
+            speed_estimate_period=math.inf,
         )
-        self._before = _spent(study)
         self._study_bar = self._bars.add_task(
             "study", total=study.spec.steps or study.spec.budget, note=""
         )
-        self._bars.update(self._study_bar, completed=self._before)
+        self._bars.update(self._study_bar, completed=_spent(study))
         self._pick_bars: dict[int, TaskID] = {}
         self._begun: dict[int, float] = {}
-        self._seconds: list[float] = []
+        self._shares: dict[int, float] = {}
         self._work = LongWork(console)
 
     def __enter__(self) -> LiveProgress:
@@ -54,7 +56,7 @@ class LiveProgress(PrintProgress):
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
-        self._begun[pick.number] = time.monotonic()
+        self._begun[pick.number], self._shares[pick.number] = time.monotonic(), 0.0
         if pick.number in self._pick_bars:  # it failed, and is begun again
             self._bars.remove_task(self._pick_bars[pick.number])
         label = f"pick {pick.number + 1}: {_said(study, pick)}"
@@ -68,7 +70,8 @@ class LiveProgress(PrintProgress):
         scores += [f"score {v:.2f}" for k, v in progress.metrics.items() if k == "score"]
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
-        self._update(study, share)
+        self._shares[pick.number] = share
+        self._update(study)
         self._work.say(f"{study.state.numbered(pick, '/')}  {_said(study, pick)}  {note}")
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
@@ -93,22 +96,14 @@ class LiveProgress(PrintProgress):
         """One line that stays; the bar of a pick that has ended goes."""
         if ended is not None:
             self._bars.remove_task(self._pick_bars.pop(ended.number))
-            self._seconds.append(time.monotonic() - self._begun.pop(ended.number))
+            self._begun.pop(ended.number)
+            self._shares.pop(ended.number)
         self._console.print(line, style=style, markup=False, highlight=False, soft_wrap=True)
 
-    def _update(self, study: Study, share: float = 0.0) -> None:
-        done = _spent(study)
+    def _update(self, study: Study) -> None:
         note = estimate(study) if study.state.rows else ""
-        seconds, of = sum(self._seconds), done - self._before
-        if of <= 0.0 and share >= 0.05 and self._begun:  # what the first one seems to need
-            number = min(self._begun)
-            seconds = time.monotonic() - self._begun[number]
-            of = share * _price(study, number)
-        if of > 0.0 and seconds:
-            left = (study.spec.steps or study.spec.budget) - done
-            minutes = seconds / of * max(left, 0.0) / max(len(self._begun), 1) / 60
-            note += f"{', ' if note else ''}about {max(round(minutes), 1)} min left"
-        self._bars.update(self._study_bar, completed=done, note=note)
+        under_way = sum(_price(study, number) * share for number, share in self._shares.items())
+        self._bars.update(self._study_bar, completed=_spent(study) + under_way, note=note)
 
 
 def _said(study: Study, pick: Pick) -> str:

@@ -25,7 +25,6 @@ from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
 from mbtl.study import (
-    Callback,
     Evaluation,
     Failures,
     Steps,
@@ -93,7 +92,6 @@ def run(
         str | None, _work("Wait here while `mbtl worker`s train.", metavar="URL")
     ] = None,
     artifacts: Annotated[str | None, _work("Folder or URL of the policies.")] = None,
-    tensorboard: Annotated[Path | None, _work("Folder for TensorBoard.")] = None,
 ) -> None:
     """Train policies on the contexts that pay most, and serve all contexts with the best of them.
 
@@ -122,7 +120,6 @@ def run(
         "timesteps": timesteps,
         "episodes": episodes,
         "eval_episodes": eval_episodes,
-        "tensorboard": tensorboard,
     }
     cmdp = cmdp.recipe(preset, **{k: v for k, v in overrides.items() if v is not None})
     pay_how = "-steps" if steps is not None else ""
@@ -133,7 +130,7 @@ def run(
                        retry_failed=retry_failed and workers is None,
                        rehearse=not no_rehearsal)  # fmt: skip
     if workers is not None:
-        check_master(workers, new=new, parallel=parallel, tensorboard=tensorboard)
+        check_master(workers, new=new, parallel=parallel)
         artifacts = artifacts_for(workers, artifacts, folder)
     if new:
         set_aside(folder)
@@ -169,18 +166,13 @@ def run(
         )
         follow(running, start, retry_failed=retry_failed)
     with LiveProgress(running, console) as live:
-        callbacks: list[Callback] = [live]
-        if tensorboard is not None:
-            from mbtl.study.tensorboard import TensorBoardCallback
-
-            callbacks.append(TensorBoardCallback(tensorboard))
         try:
             run_study(
                 running,
                 trainer,
                 workers=alone,
                 failures=failing,
-                callbacks=callbacks,
+                callbacks=[live],
                 accept_changes=accept_changes,
                 report="all" if report_all else not no_report,
             )

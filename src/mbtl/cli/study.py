@@ -1,11 +1,10 @@
-"""`mbtl study list|show|release|export`: what is in the runs folder, and what a study found."""
+"""`mbtl study list|show|export`: what is in the runs folder, and what a study found."""
 
 from __future__ import annotations
 
 import csv
 import json
 import shlex
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -14,8 +13,6 @@ from typing import Annotated, Any
 
 import typer
 from rich import box
-from rich.console import Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -24,8 +21,7 @@ from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
-from mbtl.report.text import lines, show_causes, show_summary
-from mbtl.report.text import table as summary_table
+from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
 from mbtl.study.artifacts import policy_store
@@ -33,10 +29,7 @@ from mbtl.study.checks import replay
 from mbtl.study.database import shown
 from mbtl.study.listing import chosen_name, database_at, entry_of
 
-study_app = typer.Typer(
-    help="List, show and export studies, and give back what dead workers hold.",
-    no_args_is_help=True,
-)
+study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
 _Study = Annotated[
     str,
@@ -95,51 +88,21 @@ def list_studies(
 def show(
     study: _Study,
     name: _Name = None,
-    live: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help="Look again at this interval, until the study is finished."
-        ),
-    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show the picks of a study, V, whether one policy is enough, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
 
-    While others train: mbtl study show runs/cartpole-length-full-seed0 --live 2
+    While others train: watch -n 5 mbtl study show runs/cartpole-length-full-seed0
     """
-    if live is not None and (live <= 0 or as_json):
-        raise InvalidInput(f"--live takes seconds > 0, and no --json, got {live:g}")
     opened = open_study(study, name)
-    if live is not None:
-        _watch(opened, live)
-        return
     summary = summarise_study(opened)
     if as_json:
         print_json(summary.to_json())
     else:
         show_summary(printer(), summary, opened.space)
         show_causes(printer(), summary, opened.space)
-
-
-@study_app.command("release")
-def release(
-    study: _Study,
-    worker: Annotated[str, typer.Argument(help="Its name, as a run that waits for it says it.")],
-    name: _Name = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Give back what a worker holds that has ended, so that others take it over at once.
-
-    Example: mbtl study release runs/cartpole-length-quick-seed0 host-1a2b3c
-    """
-    count = open_study(study, name).release_all(worker)
-    if as_json:
-        print_json({"released": count, "worker": worker})
-    else:
-        what = f"{count} {'training' if count == 1 else 'trainings'}"
-        printer().print(Text(f"{what} of {worker} will be handed out again"))
 
 
 @study_app.command("export")
@@ -225,24 +188,6 @@ def _reported(database: str | Path) -> Iterator[None]:
         yield
     except MbtlError as error:
         console.say(f"{_shown_at(database)}: {error}", "red")
-
-
-def _watch(study: Study, every: float) -> None:
-    """The summary, again when something has happened; without a terminal once."""
-    with Live(_view(study), console=printer(), auto_refresh=False) as screen:
-        while screen.console.is_terminal and not study.is_finished:
-            time.sleep(every)
-            before = study.state.seq
-            if study.refresh().seq != before:
-                screen.update(_view(study), refresh=True)
-
-
-def _view(study: Study) -> Group:
-    summary = summarise_study(study)
-    said = lines(summary, study.space)
-    if summary.finished is None:
-        said.append(f"{study.state.spent_words()} asked for; Ctrl-C ends this view only.")
-    return Group(summary_table(summary, study.space), *map(Text, said))
 
 
 def open_study(path: str | Path, name: str | None) -> Study:

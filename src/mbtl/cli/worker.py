@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -22,7 +22,6 @@ from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.problems import CMDP, resolve_cmdp
 from mbtl.study import Study, load_study
 from mbtl.study.artifacts import FolderStore
-from mbtl.study.database import PATIENCE, Patience
 from mbtl.study.study import LEASE, Failures, Workers, run
 from mbtl.trainers.contract import Trainer, recipe_of
 
@@ -91,9 +90,6 @@ def worker(
     wall_time: Annotated[
         str | None, _option("End within this time: 90m, 2h, 1:30:00 or seconds.", metavar="TIME")
     ] = None,
-    until: Annotated[
-        float | None, _option("End before: seconds since 1970, as SLURM_JOB_END_TIME has.")
-    ] = None,
     no_wait: Annotated[
         bool, _option("End when nothing is left to begin; others may be training.", "--no-wait")
     ] = False,
@@ -112,9 +108,6 @@ def worker(
     no_rehearsal: Annotated[
         bool, _option("Skip the trial evaluation before the first training.", "--no-rehearsal")
     ] = False,
-    patience: Annotated[
-        float, _option("Seconds for which a database that does not answer is waited for.")
-    ] = PATIENCE,
     accept_changes: Annotated[
         bool, _option("Go on although your functions changed since then.", "--accept-changes")
     ] = False,
@@ -129,13 +122,13 @@ def worker(
     """
     failures = Failures(stop_after_failures, retries=retries, rehearse=not no_rehearsal)
     alone = Workers(lease=lease, timeout=timeout)
-    end = _end(wall_time, until)
+    end = None if wall_time is None else _end(wall_time)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     over = threading.Event()
     opened: Study | None = None
     with _spoken(), _alarm(end, over):
         try:
-            opened = _opened(study, name, cmdp, artifacts, strategy, patience)
+            opened = load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
             trainer = _as_recorded(cmdp, opened)
             has_room = None if end is None else partial(end.has_room, opened, trainer)
             with LiveProgress(opened, console) as live:
@@ -180,18 +173,11 @@ def check_evaluated(study: Study) -> None:
         )
 
 
-def _end(wall_time: str | None, until: float | None) -> WallTime | None:
-    """When to be over, a little early; None: whenever the study is."""
-    if wall_time is not None and until is not None:
-        raise InvalidInput("an end is given as --wall-time or as --until, got both; leave one out")
-    if wall_time is not None:
-        seconds = _seconds(wall_time)
-    elif until is not None:
-        seconds = until - time.time()
-    else:
-        return None
+def _end(wall_time: str) -> WallTime:
+    """When to be over, a little early."""
+    seconds = _seconds(wall_time)
     if seconds <= 0.0:
-        raise InvalidInput(f"the time of a worker ends in the future, got {wall_time or until!r}")
+        raise InvalidInput(f"the time of a worker ends in the future, got {wall_time!r}")
     return WallTime(time.monotonic() + seconds - min(_RESERVE, seconds / 10.0))
 
 
@@ -238,24 +224,6 @@ def _spoken() -> Iterator[None]:
         yield
     finally:
         logger.removeHandler(handler)
-
-
-def _opened(
-    study: str,
-    name: str | None,
-    cmdp: CMDP,
-    artifacts: str | None,
-    strategy: str | None,
-    seconds: float,
-) -> Study:
-    """The study, as soon as its database answers."""
-    patience = Patience(seconds)
-    found = patience.through(
-        lambda: load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
-    )
-    log: Any = found.log
-    log.patience = patience
-    return found
 
 
 def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import Axis, Categorical, ContextSpace, Value
+from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.plot.style import (
     GREY,
@@ -19,7 +19,6 @@ from mbtl.plot.style import (
     distinct,
     dress,
     edges,
-    new_figure,
     number,
     positions,
     styled,
@@ -28,7 +27,7 @@ from mbtl.portfolio import Portfolio
 from mbtl.selectors.outlook import outlook
 from mbtl.study import Study
 
-_MOST_MAPS, _MOST_LINES = 9, 24
+_MOST_LINES = 24
 _BY = "by the episodes that chose"
 
 
@@ -38,57 +37,34 @@ def policy_map(
 ) -> Any:
     """Which policy serves which context, and how well.
 
-    Policies have a colour each and are numbered in the order of their trainings. The number of a
-    policy stands where it serves, and the legend says what it was trained on and how many contexts
-    it serves; numbers in frames stand at the contexts trained on.
+    Policies have a colour each and are numbered in the order of their trainings. The legend says
+    what each was trained on and how many contexts it serves; numbers stand at the contexts trained
+    on.
 
-    On one axis performance is drawn along it. On two it is a map. On a grid of three axes there is
-    a map for each value of the third, at most nine, evenly spread; of more axes it is one map, at
+    On one axis performance is drawn along it. On two it is a map; on a grid of more it is one at
     the middle values of the others. Contexts that are no grid are points of one map.
 
     Args:
         result: a study with rows, or a portfolio.
         over: names of the two axes of a map; None: those with the most values.
-        ax: axes to draw on, of one map; None: new ones.
+        ax: axes to draw on; None: new ones.
 
     Returns:
-        The axes; (m,) where there are several maps.
+        The axes.
 
     Raises:
-        InvalidInput: `over` are not two axes, or `ax` is one for several maps.
+        InvalidInput: `over` are not two axes.
     """
     space, patches = result.space, _patches(result)
     if space.d == 1:
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
-    first, second = _pair(space, over)
-    facets = _facets(space, [axis for axis in space.axes if axis not in (first, second)])
-    if len(facets) == 1:
-        one, (where, here) = axes_for(ax, 6.8, 4.2), facets[0]
-        lined = _territory(result, patches, one, (first, second), here)
-        said = f"; lines: performance {_BY}" if lined else ""
-        where = f" at {where}" if len(here) < space.n else ""
-        one.set_title(f"which policy serves{where}{said}", fontsize=8)
-        _legend(one, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        return one
-    if ax is not None:
-        raise InvalidInput(
-            f"policies on {space.d} axes are {len(facets)} maps, got axes for one; leave ax out"
-        )
-    columns = min(len(facets), 3)
-    rows = -(-len(facets) // columns)
-    figure = new_figure(0.8 + 2.6 * columns, 0.8 + 2.4 * rows + 0.17 * len(patches))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for panel in panels[len(facets) :]:
-        panel.set_axis_off()
-    for panel, (title, here) in zip(panels, facets, strict=False):
-        _territory(result, patches, panel, (first, second), here)
-        panel.label_outer()
-        panel.set_title(title, fontsize=8)
-    shown = sum(len(here) for _, here in facets)
-    part = f" ({shown} of {space.n} contexts)" if shown < space.n else ""
-    figure.suptitle(f"which policy serves{part}", fontsize=9)
-    _legend(figure, patches, loc="outside lower center")
-    return panels[: len(facets)]
+    drawn, ax = _pair(space, over), axes_for(ax, 6.8, 4.2)
+    where, here = _middle(space, [axis for axis in space.axes if axis not in drawn])
+    lined = _territory(result, patches, ax, drawn, here)
+    said = f"; lines: performance {_BY}" if lined else ""
+    ax.set_title(f"which policy serves{where}{said}", fontsize=8)
+    _legend(ax, patches)
+    return ax
 
 
 # ---- who serves ----------------------------------------------------------------------------------
@@ -113,14 +89,15 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
     return {i: Patch(color=colour, label=words(i)) for i, colour in pairs}
 
 
-def _legend(owner: Any, patches: Mapping[int, Any], **place: Any) -> None:
+def _legend(ax: Any, patches: Mapping[int, Any]) -> None:
     columns = -(-len(patches) // _MOST_LINES)
     words: Any = {"title": "policy: trained on (contexts it serves)", "alignment": "left"}
-    owner.legend(handles=list(patches.values()), ncols=columns, **words, **place)
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    ax.legend(handles=list(patches.values()), ncols=columns, **words, **place)
 
 
 def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> Any:
-    """Performance along the only axis, coloured by policy, each named at its longest stretch."""
+    """Performance along the only axis, coloured by policy."""
     (axis,), routing = result.space.axes, result.routing
     x = positions(axis, result.space.values(axis.name))
     order = np.argsort(x, kind="stable")
@@ -132,13 +109,7 @@ def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> An
     dress(ax, axis)
     ax.set_ylabel(f"performance {_BY}")
     number(ax, x[list(routing.sources)], {i: p.get_facecolor() for i, p in patches.items()})
-    along = routing.route[order]
-    stretches = np.split(order, np.flatnonzero(np.diff(along)) + 1)
-    for i in patches:
-        mine = max((one for one in stretches if routing.route[one[0]] == i), key=len)
-        middle = mine[len(mine) // 2]
-        _name(ax, i, x[middle], routing.served[middle], xytext=(0, -9))
-    _legend(ax, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    _legend(ax, patches)
     return ax
 
 
@@ -149,7 +120,7 @@ def _territory(
     drawn: tuple[Axis, Axis],
     here: NDArray[np.intp],
 ) -> bool:
-    """Some contexts over two axes, coloured and named by policy; whether there are lines of V."""
+    """Some contexts over two axes, coloured by policy; whether there are lines of performance."""
     from matplotlib.colors import ListedColormap
 
     space, routing = result.space, result.routing
@@ -161,7 +132,6 @@ def _territory(
         "vmin": -0.5, "vmax": len(patches) - 0.5,
     }  # fmt: skip
     lined = False
-    above = (0, 8) if space.shape is None else (0, 0)
     if space.shape is None:
         ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
     else:  # one context in a cell
@@ -177,47 +147,20 @@ def _territory(
     for axis, side in zip(drawn, "xy", strict=True):
         dress(ax, axis, side)
     inside = set(here.tolist())
-    trained = {p: source for p, source in enumerate(routing.sources) if source in inside}
-    _mark(ax, x, y, trained)
-    places = np.column_stack([np.unique(v, return_inverse=True)[1] for v in (x, y)])
-    for i in np.unique(routing.route[here]).tolist():
-        mine = here[routing.route[here] == i]
-        if trained.get(i) not in mine:
-            away = np.linalg.norm(places[mine] - places[mine].mean(axis=0), axis=1)
-            _name(ax, i, x[mine[away.argmin()]], y[mine[away.argmin()]], xytext=above)
+    _mark(ax, x, y, {p: source for p, source in enumerate(routing.sources) if source in inside})
     return lined
 
 
-def _name(ax: Any, policy: int, x: float, y: float, xytext: tuple[int, int] = (0, 0)) -> None:
-    """The number of a policy where it serves."""
-    from matplotlib.patheffects import withStroke
-
-    ax.annotate(
-        str(policy + 1), (x, y), xytext=xytext, textcoords="offset points", fontsize=8,
-        weight="bold", ha="center", va="center", gid="serves",
-        path_effects=[withStroke(linewidth=1.8, foreground="white")],
-    )  # fmt: skip
-
-
-def _facets(space: ContextSpace, others: Sequence[Axis]) -> list[tuple[str, NDArray[np.intp]]]:
-    """Contexts by the values of the axes that a map does not show, with words for them."""
-    facets = [("", np.arange(space.n))]
+def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, NDArray[np.intp]]:
+    """The contexts at the middle values of other axes, and words for that; of a list all."""
+    here, words = np.arange(space.n), list[str]()
     for axis in others if space.shape is not None else ():
-        levels = list(dict.fromkeys(space.values(axis.name)))
-        group = np.array([levels.index(value) for value in space.values(axis.name)])
-        some = np.array([len(levels) // 2])
-        if len(others) == 1:
-            some = np.linspace(0, len(levels) - 1, min(len(levels), _MOST_MAPS)).round()
-        facets = [
-            (f"{words}, {axis.name} {_said(levels[k])}".removeprefix(", "), here[group[here] == k])
-            for words, here in facets
-            for k in some.astype(int).tolist()
-        ]
-    return facets
-
-
-def _said(value: Value) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+        values = space.values(axis.name)
+        levels = list(dict.fromkeys(values))
+        middle = levels[len(levels) // 2]
+        here = here[[values[i] == middle for i in here]]
+        words.append(space.describe({axis.name: middle}))
+    return f" at {', '.join(words)}" if words else "", here
 
 
 # ---- inside --------------------------------------------------------------------------------------

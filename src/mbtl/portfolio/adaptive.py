@@ -16,9 +16,9 @@ Notation (shapes): k policies, N listed contexts; all in performance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
-from mbtl.routing import Routing
 
 _ODD = 0.01
 """Chance that a return has nothing to do with what is believed of it: e."""
@@ -44,31 +43,6 @@ _WEIGHTS = np.array([1.0, 4.0, 1.0]) / 6.0
 """Gauss-Hermite quadrature of a normal return."""
 
 
-class Serving(Protocol):
-    """What is played, and what is believed of it: a `Portfolio`, which is below this module."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def space(self) -> ContextSpace:
-        """The listed contexts."""
-
-    @property
-    def bounds(self) -> Bounds:
-        """Normalisation of the returns."""
-
-    @property
-    def episodes(self) -> Sequence[Array]:
-        """K arrays (N, E_i), the returns of single episodes."""
-
-    @property
-    def routing(self) -> Routing:
-        """What each policy is believed to return where."""
-
-    def policy(self, i: int) -> Any:
-        """The policy at a position."""
-
-
 @dataclass
 class Adaptive:
     """Chooses a policy for each episode in a context that nobody tells.
@@ -77,14 +51,22 @@ class Adaptive:
     `serving.observe(play(serving.policy))` with its return.
 
     Attributes:
-        portfolio: whose policies are played.
+        space: the listed contexts.
+        bounds: normalisation of the returns.
+        mean: (k, N) what each policy is believed to return where, performance.
+        own: (k, N) deviations of single episodes (`deviations`).
+        load: position -> policy.
         episodes: how many are expected in this context; the more, the more is tried out.
         forget: chance per episode that the context has changed.
         chances: (N,) of the listed contexts.
         played: policies and raw returns so far.
     """
 
-    portfolio: Serving = field(repr=False)
+    space: ContextSpace = field(repr=False)
+    bounds: Bounds = field(repr=False)
+    mean: Array = field(repr=False)
+    own: Array = field(repr=False)
+    load: Callable[[int], Any] = field(repr=False)
     episodes: int = 10
     forget: float = 0.0
     chances: Array = field(init=False, repr=False)
@@ -96,20 +78,16 @@ class Adaptive:
                 "episodes must be 1 or more and forget a chance, in [0, 1], got "
                 f"{self.episodes} and {self.forget}"
             )
-        self.chances = self.portfolio.space.weights.copy()
-        everywhere = np.arange(self.portfolio.space.n)
-        self._mean: Array = self.portfolio.routing.beliefs.on(everywhere)[0]
-        self._range = max(float(np.ptp(self._mean)), 1e-9)
-        bounds = self.portfolio.bounds
-        own = deviations(self.portfolio.episodes, self._mean.shape, bounds.high - bounds.low)
-        self._deviation = np.hypot(own, _BLUR * self._range)
+        self.chances = self.space.weights.copy()
+        self._range = max(float(np.ptp(self.mean)), 1e-9)
+        self._deviation = np.hypot(self.own, _BLUR * self._range)
 
     # ---- what to play ------------------------------------------------------------------------
 
     @property
     def next(self) -> int:
-        """Position of the policy to play in the next episode."""
-        expected = self._mean @ self.chances
+        """Position of the policy to play in the next episode; the first of equals."""
+        expected = self.mean @ self.chances
         left = min(self.episodes - len(self.played) - 1, _AHEAD)
         if left > 0 and len(expected) > 1:
             expected = expected + left * self._taught(float(expected.max()))
@@ -118,17 +96,17 @@ class Adaptive:
     @property
     def policy(self) -> Any:
         """The policy to play in the next episode."""
-        return self.portfolio.policy(self.next)
+        return self.load(self.next)
 
     @property
     def expected(self) -> Array:
         """(k,) expected raw return of each policy."""
-        return self.portfolio.bounds.denormalise(self._mean @ self.chances)
+        return self.bounds.denormalise(self.mean @ self.chances)
 
     @property
     def context(self) -> Context:
         """The likeliest listed context."""
-        return self.portfolio.space.context(int(self.chances.argmax()))
+        return self.space.context(int(self.chances.argmax()))
 
     # ---- what was seen -----------------------------------------------------------------------
 
@@ -143,17 +121,17 @@ class Adaptive:
             InvalidInput: the return is not finite, or there is no such policy.
         """
         which = self.next if policy is None else policy
-        if np.ndim(value) or not np.isfinite(value) or not 0 <= which < len(self.portfolio):
+        if np.ndim(value) or not np.isfinite(value) or not 0 <= which < len(self.mean):
             raise InvalidInput(
-                f"an episode has a finite return and a policy of 0 to {len(self.portfolio) - 1}, "
+                f"an episode has a finite return and a policy of 0 to {len(self.mean) - 1}, "
                 f"got {value!r} of policy {which}"
             )
-        seen = self.portfolio.bounds.normalise(np.array([float(value)]))
+        seen = self.bounds.normalise(np.array([float(value)]))
         told = self.chances * self._likelihood(which, seen)[0]
         self.chances = told / told.sum()
         self.played.append((which, float(value)))
         if self.forget:
-            prior = self.portfolio.space.weights
+            prior = self.space.weights
             self.chances = (1.0 - self.forget) * self.chances + self.forget * prior
 
     # ---- inside ------------------------------------------------------------------------------
@@ -161,20 +139,20 @@ class Adaptive:
     def _likelihood(self, policy: int, seen: Array) -> Array:
         """(R, N) of performances `seen`, (R,)."""
         deviation = self._deviation[policy]
-        off = (seen[:, None] - self._mean[policy]) / deviation
+        off = (seen[:, None] - self.mean[policy]) / deviation
         normal = np.exp(-0.5 * off**2) / (np.sqrt(2.0 * np.pi) * deviation)
         return np.asarray((1.0 - _ODD) * normal + _ODD / self._range)
 
     def _taught(self, best: float) -> Array:
         """(k,) by how much the best expected performance rises with the return of each policy."""
         likely = np.flatnonzero(self.chances > _LIKELY * self.chances.max())
-        gain = np.empty(len(self._mean))
-        for k, (mean, deviation) in enumerate(zip(self._mean, self._deviation, strict=True)):
+        gain = np.empty(len(self.mean))
+        for k, (mean, deviation) in enumerate(zip(self.mean, self._deviation, strict=True)):
             seen = (mean[likely] + _NODES[:, None] * deviation[likely]).ravel()
             chance = (self.chances[likely] * _WEIGHTS[:, None]).ravel()
             after = self._likelihood(k, seen) * self.chances
             after /= after.sum(axis=1, keepdims=True)
-            gain[k] = chance @ (after @ self._mean.T).max(axis=1) / chance.sum() - best
+            gain[k] = chance @ (after @ self.mean.T).max(axis=1) / chance.sum() - best
         return np.maximum(gain, 0.0)
 
 

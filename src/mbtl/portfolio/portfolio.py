@@ -23,7 +23,7 @@ from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
-from mbtl.portfolio.adaptive import Adaptive
+from mbtl.portfolio.adaptive import Adaptive, deviations
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
@@ -83,32 +83,24 @@ class Portfolio:
         object.__setattr__(self, "policy_folders", folders)
         episodes = tuple(np.asarray(each, dtype=np.float64) for each in self.episodes)
         object.__setattr__(self, "episodes", episodes)
-        self._loaded.update(self.in_memory)
-        k, n = len(sources), self.space.n
-        if k == 0 or returns.shape != (k, n):
-            raise InvalidInput(
-                "a portfolio needs one or more policies and returns of shape (policies, contexts), "
-                f"got {k} sources for {n} contexts and returns of shape {returns.shape}"
-            )
-        if not all(0 <= source < n for source in sources):
-            raise InvalidInput(f"sources must be context indices 0..{n - 1}, got {sources}")
         sets = {int(i): tuple(int(c) for c in on) for i, on in self.sets.items()}
         object.__setattr__(self, "sets", sets)
-        if not all(0 <= i < k and on and set(on) <= set(range(n)) for i, on in sets.items()):
+        self._loaded.update(self.in_memory)
+        k, n, shapes = len(sources), self.space.n, [each.shape for each in episodes]
+        fit = (
+            returns.shape == (k, n)
+            and k == len(folders) > 0
+            and all(0 <= context < n for some in (sources, *sets.values()) for context in some)
+            and all(0 <= policy < k and some for policy, some in sets.items())
+            and len(shapes) in (0, k)
+            and all(len(shape) == 2 and shape[0] == n and shape[1] > 0 for shape in shapes)
+        )
+        if not fit:
             raise InvalidInput(
-                f"sets must give context indices 0..{n - 1} of policies 0..{k - 1}, got {sets}"
-            )
-        if len(folders) != k:
-            raise InvalidInput(
-                f"policy_folders needs one folder or None per policy, got {len(folders)} for {k}"
-            )
-        shapes = [each.shape for each in episodes]
-        if episodes and not (
-            len(shapes) == k and all(len(s) == 2 and s[0] == n and s[1] > 0 for s in shapes)
-        ):
-            raise InvalidInput(
-                f"episodes needs returns of shape ({n}, episodes) for each of {k} policies, got "
-                f"shapes {shapes}"
+                f"each of one or more policies of a portfolio has a source among {n} contexts, "
+                f"returns on all of them and perhaps a set, a folder and episodes, got sources "
+                f"{sources}, returns of shape {returns.shape}, sets {sets}, {len(folders)} folders "
+                f"and episodes of shapes {shapes}"
             )
         if (np.abs(returns) > LARGEST).any():
             raise InvalidInput(
@@ -243,7 +235,9 @@ class Portfolio:
             episodes: how many are expected; the more, the more is tried out.
             forget: chance per episode that the context has changed.
         """
-        return Adaptive(self, episodes, forget)
+        mean, width = self.routing.believed, self.bounds.high - self.bounds.low
+        own = deviations(self.episodes, mean.shape, width)
+        return Adaptive(self.space, self.bounds, mean, own, self.policy, episodes, forget)
 
     def evaluate(
         self,

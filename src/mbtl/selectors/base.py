@@ -37,7 +37,6 @@ class SelectionProblem:
         costs: (N,) cost of a training on each context; None where all cost the same.
         cost_budget: of all trainings together; None for no limit.
         risk: share of the targets, the worst of them, that V is the mean of.
-        least_gain: gain in V that one more training should be worth; None where that is not asked.
         least_left: gain in V that all trainings left together should be worth; None: not asked.
         axes: of the context space, D columns together; empty: D linear axes.
         trainable: (N,) mask of the contexts that one may train on; None: all. All are targets.
@@ -55,7 +54,6 @@ class SelectionProblem:
     costs: Array | None = None
     cost_budget: float | None = None
     risk: float = 1.0
-    least_gain: float | None = None
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
     trainable: NDArray[np.bool_] | None = None
@@ -103,8 +101,8 @@ class SelectionProblem:
             space: the contexts.
             budget: number of trainings K.
             theta: slope of the linear gap.
-            **wishes: `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`,
-                `trainable`, `abilities`, `assumed`.
+            **wishes: `costs`, `cost_budget`, `risk`, `least_left`, `trainable`, `abilities`,
+                `assumed`.
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
@@ -154,8 +152,6 @@ class Proposal:
         reason: one line for people, e.g. "warm-up: worst context so far".
         acquisition: value of the acquisition at `source`; None where the rule has none.
         notes: what went differently from the plan (a fit that fell back, ...); kept in the study.
-        chance: probability that V gains `least_gain` or more from the most promising training,
-            which need not be this one; where the problem asks.
         chance_left: probability that trainings on all contexts left together gain `least_left` or
             more; where the problem asks.
         start: place, among the rows of the history, of the policy to begin with; None: from
@@ -171,7 +167,6 @@ class Proposal:
     reason: str
     acquisition: float | None = None
     notes: tuple[str, ...] = ()
-    chance: float | None = None
     chance_left: float | None = None
     start: int | None = None
     length: float | None = None

@@ -24,14 +24,12 @@ class Traits:
 
     Attributes:
         deterministic: it ignores its generator, so one run of it says all.
-        predicts_chances: its proposals say how probable a gain is, where the problem asks.
         one_axis: it needs contexts on one numeric axis (`SelectionProblem.line`).
         any_training: it is no selector but a strategy over trainings of every kind: it sees all
             rows, and its proposals name contexts, start and length.
     """
 
     deterministic: bool = False
-    predicts_chances: bool = False
     one_axis: bool = False
     any_training: bool = False
 

@@ -78,7 +78,7 @@ class Specialists:
     finalists: int = 10
     final_targets: int = 150
     name: str = "specialists"
-    traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True)
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def without(self, family: str) -> Specialists:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
@@ -136,11 +136,8 @@ class Specialists:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
             gain = outlook.expected(candidates)
-        chance = None
-        if problem.least_gain is not None:
-            chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         chosen = _largest(problem, history, outlook, candidates, gain, costs)
-        return replace(chosen, chance=chance, chance_left=left)
+        return replace(chosen, chance_left=left)
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Conditioned:
         """Condition the model on the rows, at some of the targets."""

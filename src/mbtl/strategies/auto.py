@@ -79,7 +79,7 @@ class Auto:
     fresh_share: float = 0.1
     doubt: float = 0.5
     name: str = "auto"
-    traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True, any_training=True)
+    traits: ClassVar[Traits] = Traits(deterministic=True, any_training=True)
 
     def without(self, family: str) -> Auto:
         """The same, had it never seen a family of problems; for honest benchmarks."""
@@ -112,9 +112,7 @@ class Auto:
         if not options:
             raise Exhausted("of the budget there is nothing left that a training could be had for")
         best = max(options, key=lambda one: one.gain / one.price).proposal
-        chance = _likeliest([one.proposal.chance for one in options])
-        left = _likeliest([one.proposal.chance_left for one in options])
-        return replace(best, chance=chance, chance_left=left)
+        return replace(best, chance_left=_likeliest([one.proposal.chance_left for one in options]))
 
     def _options(self, standing: Standing, rng: np.random.Generator) -> list[Option]:
         """The best of each kind; the chooser, which takes time, is asked where it could win."""
@@ -122,8 +120,7 @@ class Auto:
         problem, known = standing.problem, standing.history.specialists()
         usual, brought, most = self._expected(standing, known)
         rate = max((one.gain / one.price for one in options), default=-np.inf)
-        asked_all = problem.least_gain is not None or problem.least_left is not None
-        if standing.left < 1.0 - _LEAST or (most < rate and not asked_all):
+        if standing.left < 1.0 - _LEAST or (most < rate and problem.least_left is None):
             return options
         try:
             chosen = self.chooser.propose(standing.alone, known, rng)
@@ -162,7 +159,6 @@ class Auto:
             in_all = rise * np.log2((made.length + standing.left) / made.length)
         proposal = Proposal(
             history.sources[row], reason, gain, start=row, length=length, sources=made.contexts,
-            chance=_chance(problem.least_gain, gain, scatter),
             chance_left=_chance(problem.least_left, in_all, scatter),
         )  # fmt: skip
         return Option(proposal, gain, more)

@@ -7,7 +7,7 @@ from mbtl.study.listing import StudyEntry, delete_study, list_studies
 from mbtl.study.records import Pick, StudyFinished
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
 from mbtl.study.study import Callback, Failures, RunResult, Study, Workers
-from mbtl.study.trainings import Training, Trainings
+from mbtl.study.trainings import Training
 
 __all__ = [
     "Artifact",
@@ -27,7 +27,6 @@ __all__ = [
     "StudyEntry",
     "StudyFinished",
     "Training",
-    "Trainings",
     "Workers",
     "create_study",
     "delete_study",

@@ -21,7 +21,7 @@ from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
-from mbtl.trainers.contract import checked_targets
+from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
@@ -290,18 +290,8 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
         )
     if length is not None and not (np.isfinite(length) and length >= 0.0):
         raise InvalidInput(f"a training has a length >= 0 in units, got {length!r} from {name!r}")
-    if length == 0.0 and (start is None or proposal.targets is None):
-        raise InvalidInput(
-            f"what is only evaluated (length 0) names the policy, start=, and its targets=, got "
-            f"{proposal} from {name!r}"
-        )
     pick = state.planned(_facts(state, proposal))
-    if length and length <= pick.done:
-        raise InvalidInput(
-            f"a training goes on beyond the {pick.done:g} units that it has, got "
-            f"length={length:g} from {name!r}; it is the length in all"
-        )
-    asked = {
+    asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,
         "start": start is not None and length != 0.0,
         "length": length not in (None, 0.0),
@@ -309,8 +299,8 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
     for ability, wanted in asked.items():
         if wanted and ability not in state.abilities:
             raise InvalidInput(
-                f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
-                "give another trainer, or a strategy that goes by `problem.abilities`"
+                f"the trainer of this study cannot {DEEDS[ability]}, which {name!r} asks for; give "
+                "another trainer, or a strategy that goes by `problem.abilities`"
             )
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(
@@ -324,23 +314,12 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
         )
 
 
-_WORDS = {
-    "sets": "one policy on several contexts",
-    "start": "a training that begins from a policy",
-    "length": "a training of another length than its own",
-}
-
-
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:
     """Why one more training is not worth it; None where it is, or where nobody asked."""
-    asked = (
-        (spec.stop_gain, proposal.chance, "one more training gains"),
-        (spec.stop_left, proposal.chance_left, "all trainings that are left together gain"),
-    )
-    for least, chance, who in asked:
-        if least is not None and chance is not None and 1.0 - chance >= spec.stop_confidence:
-            return (
-                f"{who} less than {least:g} in V with probability {1.0 - chance:.3f}, the selector "
-                "predicts"
-            )
+    least, chance = spec.stop_left, proposal.chance_left
+    if least is not None and chance is not None and 1.0 - chance >= spec.stop_confidence:
+        return (
+            f"all trainings that are left together gain less than {least:g} in V with probability "
+            f"{1.0 - chance:.3f}, the selector predicts"
+        )
     return None

@@ -10,8 +10,8 @@ import math
 import random
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial, wraps
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
 
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, few
+from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
@@ -31,7 +31,7 @@ from mbtl.settings import first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Steps
-from mbtl.study.checks import advance, check_event
+from mbtl.study.checks import advance, check_event, is_policy_place
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
@@ -43,7 +43,7 @@ from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
-from mbtl.study.trainings import Trainings, trainings_of
+from mbtl.study.trainings import Training, trainings_of
 from mbtl.trainers.contract import (
     Trainer,
     checked_returns,
@@ -81,10 +81,6 @@ _PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 1.0, 0.1
 
 """Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
 a moment, then ever more, since many who look at once only disturb each other."""
-
-_QUEUED = 50
-
-"""Writes that take turns after one that came too late: where nobody disturbs, that costs time."""
 
 _WATCH = 1.0
 
@@ -127,7 +123,6 @@ class AskTell:
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
         self.selector = selector
-        self._queued = 0
         self.refresh()
 
     def __repr__(self) -> str:
@@ -137,20 +132,6 @@ class AskTell:
             f"{told} policies told, {state.spent_words()}"
         )  # fmt: skip
         return f"Study({self.name!r}: {how}, {spec.space!r})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if isinstance(self.log, MemoryLog):
-            raise StudyError(
-                f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
-                "another or copied; make it with storage=<path or URL>"
-            )
-        given: dict[str, Any] = {
-            "folder": self.artifacts,
-            "name": self.name,
-            "trainer": self.trainer,
-            "beside": self.beside,
-        }
-        return partial(type(self), **given), (self.log, self.selector)
 
     # ---- reading ------------------------------------------------------------------------------
 
@@ -254,7 +235,7 @@ class AskTell:
 
     @property
     @_alone
-    def trainings(self) -> Trainings:
+    def trainings(self) -> tuple[Training, ...]:
         """What became of each pick, and of rows that nobody asked for, one typed line each."""
         return trainings_of(self.refresh(), self.watch())
 
@@ -355,12 +336,11 @@ class AskTell:
                 picks.append(self._ask(lease))
         return picks
 
-    def heartbeat(self, pick: Pick, *, steps: float | None = None) -> bool:
+    def heartbeat(self, pick: Pick) -> bool:
         """Say that a training goes on, and hear whether it should.
 
         Args:
             pick: what `ask` gave.
-            steps: environment steps done so far, for people.
 
         Returns:
             True: go on; the lease begins anew. False: stop, because the pick was given back,
@@ -369,7 +349,7 @@ class AskTell:
         held = self.refresh().open_picks.get(pick.number)
         if held is None or held.lease is None or held.lease.token != pick.token:
             return False
-        self.log.beat(pick.token, held.lease.seconds or 0.0, steps=steps)
+        self.log.beat(pick.token, held.lease.seconds or 0.0)
         return True
 
     def pick(self, number: int) -> Pick:
@@ -401,27 +381,6 @@ class AskTell:
         if not isinstance(pick, Pick):
             pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
-
-    def release_all(self, worker: str) -> int:
-        """Give back all that a worker holds, if it is known to have ended; how many picks.
-
-        One that has not ended is told to stop by its next heartbeat.
-
-        Raises:
-            StudyError: it holds nothing.
-        """
-        state, holders = self.refresh(), sorted({lease.worker for lease in self.leases})
-        if worker not in holders:
-            who = f"these do: {few(holders, 10)}" if holders else "nobody does"
-            raise StudyError(
-                f"a worker gives back what it holds, and {worker!r} holds nothing; {who}"
-            )
-        numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
-        for number in numbers:
-            self.release(number)
-        if self.state.proposing is not None and self.state.proposing.worker == worker:
-            self._stop_proposing(self.state.proposing.token)
-        return len(numbers)
 
     # ---- telling ------------------------------------------------------------------------------
 
@@ -471,6 +430,12 @@ class AskTell:
             StudyError: the pick was answered before, or is another study's.
         """
         sources = tell.sources_of(self.space, pick)
+        place = policy.place if isinstance(policy, Artifact) else policy
+        if place is not None and not is_policy_place(place):
+            raise InvalidInput(
+                "`policy` must be a folder inside the study's own, as a relative path, got "
+                f"{short(place)}"
+            )
         price = finite("cost", cost, 0.0)
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
@@ -487,7 +452,7 @@ class AskTell:
             "episodes": rows.shape[1],
             "seconds": finite("seconds", seconds, 0.0),
             "steps": finite("steps", steps, 0.0),
-            "policy": policy.place if isinstance(policy, Artifact) else policy,
+            "policy": place,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
             "state": None if training_state is None else training_state.place,
             "state_sha256": None if training_state is None else training_state.sha256,
@@ -495,13 +460,13 @@ class AskTell:
         }
         if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
-        place = 0
+        row = 0
 
         def told(state: StudyState) -> Event:
-            nonlocal place
+            nonlocal row
             if isinstance(pick, Pick) and tell.is_late(state, pick):
                 return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
-            place = len(state.rows)
+            row = len(state.rows)
             number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
@@ -513,7 +478,7 @@ class AskTell:
         with self._lock:  # so that no other thread takes a row away meanwhile
             in_time = self._commit(told).kind == "told"
             if policy_object is not None and in_time:
-                self.policies[place] = policy_object
+                self.policies[row] = policy_object
         return in_time
 
     def evaluation_seeds(
@@ -692,25 +657,27 @@ class AskTell:
             rows: how many rows these are the routes of; None: those there are.
 
         Raises:
-            StudyError: of another shape, or rows were told since, which the report would not fit.
+            StudyError: rows were told since, which the report would not fit.
+            InvalidInput: they are of another shape.
         """
         others, units = dict(baselines or {}), {} if metrics is None else dict(self.beside.metrics)
         arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
         rows = len(self.refresh().rows) if rows is None else rows
-        shapes = [array.shape for array in (*arrays.values(), *others.values())]
         if others:
             arrays["baselines"] = np.array([*others.values()], float)
         if units:
             arrays["metrics"] = np.asarray(metrics, float)
 
         def reported(state: StudyState) -> Event:
-            n, told = self.space.n, len(state.rows)
-            if told != rows or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != n:
+            if (told := len(state.rows)) != rows:
                 raise StudyError(
-                    f"fresh returns must have shape ({n}, episodes) and be of the {told} policies "
-                    f"told, got {shapes} of {rows}; evaluate again"
+                    f"fresh returns are of the {told} policies told, got those of {rows}; evaluate "
+                    "again"
                 )
-            data: dict[str, Any] = {"episodes": shapes[0][1], "best_single": int(best_single)}
+            data: dict[str, Any] = {
+                "episodes": arrays["served"].shape[-1],
+                "best_single": int(best_single),
+            }
             if others:
                 data["baselines"] = [*others]
             if units:
@@ -847,28 +814,13 @@ class AskTell:
             event = decide(self.refresh())
             if event is None:
                 return event
-            with self._turn() as queued:
-                if queued and (event := decide(self.refresh())) is None:
-                    return event
-                check_event(event, self._state)
-                before = self._holder(event)
-                self.log.append(event, after=self._state.seq)
-                self.refresh()
+            check_event(event, self._state)
+            before = self._holder(event)
+            self.log.append(event, after=self._state.seq)
+            self.refresh()
             if before is not None:
                 self.presence.succeed(before, self.leases)
             return event
-
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[bool]:
-        """True where others were faster lately, so that this one waits for its turn to write."""
-        queued = self._queued > 0
-        self._queued -= queued
-        try:
-            with self.log.turn() if queued else contextlib.nullcontext():
-                yield queued
-        except Conflict:
-            self._queued = _QUEUED
-            raise
 
     def _holder(self, event: Event) -> str | None:
         """Name of the worker whose pick an event gives to somebody else; None: nobody's."""

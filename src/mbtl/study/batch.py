@@ -15,12 +15,10 @@ from functools import partial
 from logging import getLogger
 from typing import Any
 
-import numpy as np
-
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
-from mbtl.study.artifacts import Artifact, spools_of
+from mbtl.study.artifacts import Artifact
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
@@ -33,7 +31,6 @@ from mbtl.study.job import (
     perform_elsewhere,
 )
 from mbtl.study.records import Pick
-from mbtl.study.state import StudyState
 from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
 
@@ -44,8 +41,6 @@ _DIED = (
 )
 
 
-_LEAST_FREEDOM = 10
-"""Degrees of freedom, of contexts and their episodes, below which an interval says little."""
 _LATE = 30.0
 """Seconds after its time limit when a job is given up that has not ended itself: it is in native
 code that does not return, or its process took long to begin."""
@@ -67,7 +62,7 @@ class Batches:
         trainer: does the work.
         executor: where; None: in this thread, each as it is begun.
         failures_allowed: failures in a row that are borne; one more ends the run.
-        rehearse: the first policy is read back and evaluated on two targets before all else.
+        rehearse: the first policy is read back before it is evaluated.
         announce: calls a method of all callbacks, by its name, with what it takes.
         keeper: keeps the leases of the picks.
         timeout: seconds that a training and its evaluation may take; None: as many as they want.
@@ -94,20 +89,20 @@ class Batches:
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
 
-    def do(self, size: int, ask: Callable[[], Pick | None], *, together: bool = False) -> None:
+    def do(self, size: int, ask: Callable[[], Pick | None]) -> None:
         """Train `size` picks at a time until none is left; on any interrupt give them back.
+
+        Each is told, and the next one asked for, when it is done.
 
         Args:
             size: trainings at a time.
             ask: gives the next pick; None: there is none.
-            together: ask for the next ones when all are told, in pick order; else each is told, and
-                the next one asked for, when it is done.
 
         Raises:
             TrainingFailed: failures end the run. What was under way is told.
         """
         waiting: dict[int, Pick] = {}
-        outcomes = self._outcomes(size, ask, waiting, together=together)
+        outcomes = self._outcomes(size, ask, waiting)
         end: Exception | None = None
         self._failed = None
         self._ending = False
@@ -124,7 +119,7 @@ class Batches:
                 if not in_time:
                     self._lose(pick)
                 elif trouble is None:
-                    self._announce_told(pick)
+                    self._announce("on_told", pick)
                 elif trouble.pruned and trouble.kept is None:
                     self._announce("on_pruned", pick, trouble.reason)
                 elif not again:
@@ -155,12 +150,7 @@ class Batches:
     # ---- trainings under way -----------------------------------------------------------------
 
     def _outcomes(
-        self,
-        size: int,
-        ask: Callable[[], Pick | None],
-        waiting: dict[int, Pick],
-        *,
-        together: bool,
+        self, size: int, ask: Callable[[], Pick | None], waiting: dict[int, Pick]
     ) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, see `do`; None where it is somebody else's by now.
 
@@ -175,31 +165,9 @@ class Batches:
                 self._announce_pick(pick)
                 future = self._begun(pick, self._job(pick))
                 self._under_way[future] = pick, time.monotonic()
-                if together and self._is_whole(size):
-                    break
             if not self._under_way:
                 return
-            yield from self._batch() if together else self._landed()
-
-    def _batch(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
-        """What all that are under way gave, in pick order; also where the executor breaks then."""
-        landed: list[tuple[Pick, Outcome | Trouble | None]] = []
-        broken: StudyError | None = None
-        try:
-            while self._under_way:
-                landed += self._landed()
-        except StudyError as error:
-            broken = error
-        yield from sorted(landed, key=lambda one: one[0].number)
-        if broken is not None:
-            raise broken
-
-    def _is_whole(self, size: int) -> bool:
-        """Whether a batch is full: what others left, up to a multiple of `size` picks asked.
-
-        So a run that goes on asks exactly when, and knowing just what, an undisturbed one would.
-        """
-        return not self.study.orphans and len(self.study.state.picks) % size == 0
+            yield from self._landed()
 
     @property
     def _in_doubt(self) -> bool:
@@ -298,7 +266,6 @@ class Batches:
 
     def _progressed(self, pick: Pick, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
-        self.keeper.said(pick, progress)
         if self.keeper.is_lost(pick):
             raise _Stopped
 
@@ -316,7 +283,6 @@ class Batches:
             places_of(study, pick),
             study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
-            spools_of(study.database) if study.is_durable else (),
             self.timeout,
             start,
             pick.done,
@@ -443,11 +409,6 @@ class Batches:
                     self._said.add(note)
                     self._announce("on_note", note)
 
-    def _announce_told(self, pick: Pick) -> None:
-        self._announce("on_told", pick)
-        if words := few_episodes(self.study.state, self.trainer):
-            self._announce("on_note", words)
-
     def _announce(self, method: str, *facts: Any) -> None:
         try:
             self.announce(method, *facts)
@@ -487,25 +448,6 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     if trouble.error is None or trouble.error.__traceback__ is None:  # of another process
         error.add_note(trouble.traceback)
     return error
-
-
-def few_episodes(state: StudyState, trainer: Trainer) -> str | None:
-    """That few episodes say little of chance; None: they say enough, or it was said.
-
-    It is said before the first training where the trainer knows how many it plays (its attribute
-    `eval_episodes`), and else after that.
-    """
-    rows, episodes = state.rows, getattr(trainer, "eval_episodes", None)
-    contexts = state.spec.eval_targets or state.spec.space.n
-    if len(rows) != (1 if episodes is None else 0):
-        return None
-    if episodes is None:
-        episodes, contexts = rows[0].episodes, int(np.isfinite(rows[0].returns).sum())
-    if (episodes - 1) * contexts >= _LEAST_FREEDOM:
-        return None
-    if episodes == 1:
-        return "one episode per context says nothing of chance: play 2 or more to know V's error"
-    return f"{episodes} episodes of so few contexts say little of chance: play more"
 
 
 def places_of(study: AskTell, pick: Pick) -> list[str]:

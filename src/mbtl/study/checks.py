@@ -18,15 +18,13 @@ from mbtl.files import MALFORMED, is_local
 from mbtl.plain import LARGEST, short
 from mbtl.study.events import Event, Kind
 from mbtl.study.spec import (
-    COUNT,
-    FLAG,
-    NUMBER,
-    RECORD,
-    TEXT,
     Rule,
     at_least,
     each,
+    is_count,
+    is_flag,
     is_number,
+    is_record,
     is_text,
     is_whole,
     or_null,
@@ -75,10 +73,9 @@ def check_event(event: Event, state: StudyState) -> None:
     Raises:
         InvalidInput: a fact or an array is missing, of the wrong form, or out of place.
     """
-    for name, (holds, words) in _facts(event, state).items():
-        fact = event.data.get(name)
-        if not holds(fact):
-            raise InvalidInput(f"`{name}` must be {words}, got {short(fact)}")
+    for name, holds in _facts(event, state).items():
+        if not holds(event.data.get(name)):
+            raise InvalidInput(f"`{name}` cannot be {short(event.data.get(name))} now")
     shapes = _shapes(event, state)
     if set(event.arrays) != set(shapes):
         raise InvalidInput(
@@ -108,10 +105,11 @@ def _check_training(event: Event, state: StudyState) -> None:
         return
     asked = state.planned(data)
     if not asked.length and None in (asked.start, asked.targets):
-        raise InvalidInput("a pick that only evaluates a policy has a start and targets")
+        raise InvalidInput("what only evaluates a policy (length 0) has a start= and targets=")
     if asked.length and asked.length <= asked.done:
         raise InvalidInput(
-            f"a training goes on beyond what it had, {asked.done:g} units, got {asked.length:g}"
+            f"a training goes on beyond the {asked.done:g} units that it has, got length="
+            f"{asked.length:g}; it is the length in all"
         )
 
 
@@ -127,107 +125,88 @@ def is_policy_place(path: object) -> bool:
 
 
 def _named(letters: str) -> Rule:
-    def holds(value: Any) -> bool:
-        return is_text(value) and re.fullmatch(f"[{letters}]{{1,64}}", value) is not None
-
-    return holds, "1 to 64 letters and digits, since a folder is named by it"
+    """Of what a folder is named by."""
+    return lambda value: is_text(value) and bool(re.fullmatch(f"[{letters}]{{1,64}}", value))
 
 
-_TOKEN, _UID = _named("A-Za-z0-9"), _named("A-Za-z0-9_-")
-_MAYBE_TEXT = or_null(TEXT)
-_SECONDS = or_null((at_least(0.0), "a finite number >= 0"))
-_UNITS = or_null(
-    (lambda value: is_number(value) and 0.0 <= value <= _LONGEST, "a number of units >= 0")
-)
-_POLICY = or_null((is_policy_place, "a folder inside the study's own, as a relative path"))
-_HOLDER = {"worker": TEXT, "token": _TOKEN, "seconds": _SECONDS}
+_is_token, _is_uid = _named("A-Za-z0-9"), _named("A-Za-z0-9_-")
+_amount, _units = or_null(at_least(0.0)), or_null(lambda v: is_number(v) and 0.0 <= v <= _LONGEST)
+_HOLDER: dict[str, Rule] = {"worker": is_text, "token": _is_token, "seconds": _amount}
 
 
 def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     """The facts that an event of this kind must hold now."""
     if not state.seq:
-        return {"version": TEXT, "uid": _UID, "spec": RECORD}
+        return {"version": is_text, "uid": _is_uid, "spec": is_record}
     n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
     least, now = state.spec.budget, state.spec.steps
 
-    def number(holds: Callable[[int], bool], words: str) -> Rule:
-        return (lambda i: is_whole(i) and holds(i)), words
+    def number(holds: Callable[[int], bool]) -> Rule:
+        return lambda i: is_whole(i) and holds(i)
 
-    index = number(lambda i: i < n, "")[0]
-    sources: Rule = (
-        lambda some: each(index)(some) and 0 < len(some) == len(set(some)),
-        f"different context indices from 0 to {n - 1}, one or more",
-    )
-    rising: Rule = (
-        lambda some: sources[0](some) and list(some) == sorted(some),
-        f"{sources[1]}, rising",
-    )
-    told = number(lambda i: state.place_of(i) >= 0, "the number of the event that told a row")
-    one_open = number(lambda i: i in state.open_picks, "the number of an open pick")
-    next_or_open = number(
-        lambda i: i in state.open_picks or i == asked, f"{one_open[1]}, or of the next one"
-    )
+    index, told = number(lambda i: i < n), number(lambda i: state.place_of(i) >= 0)
+    one_open = number(lambda i: i in state.open_picks)
+    next_or_open = number(lambda i: i in state.open_picks or i == asked)
+
+    def sources(some: Any) -> bool:
+        return each(index)(some) and 0 < len(some) == len(set(some))
+
+    def rising(some: Any) -> bool:
+        return sources(some) and list(some) == sorted(some)
+
     failure: dict[str, Rule] = {
-        "token": or_null(_TOKEN),
+        "token": or_null(_is_token),
         "pick": one_open,
-        "reason": TEXT,
-        "traceback": _MAYBE_TEXT,
-        **dict.fromkeys(("pruned", "again"), or_null(FLAG)),
-        "steps": _SECONDS,
+        "reason": is_text,
+        "traceback": or_null(is_text),
+        **dict.fromkeys(("pruned", "again"), or_null(is_flag)),
+        "steps": _amount,
     }
-    returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": COUNT}
-    raised = "a budget can only be raised"
+    returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": is_count}
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {
-            "budget": number(lambda k: k >= least, f"{least} trainings or more: {raised}"),
-            "steps": (lambda steps: steps is None, "null")
-            if now is None
-            else number(lambda steps: steps > now, f"more than {now} steps: {raised}"),
+            "budget": number(lambda k: k >= least),
+            "steps": lambda s: s is None if now is None else is_whole(s) and s > now,
         },
         "asked": {
-            "pick": number(lambda i: i == asked, f"the number {asked} of the next pick"),
+            "pick": number(lambda i: i == asked),
             "sources": sources,
             "start": or_null(told),
-            "length": _UNITS,
-            "reason": TEXT,
-            "acquisition": NUMBER,
-            "notes": (each(is_text), "a list of texts"),
+            "length": _units,
+            "reason": is_text,
+            "acquisition": or_null(is_number),
+            "notes": each(is_text),
             "targets": or_null(sources),
             **_HOLDER,
         },
         "claimed": {"pick": next_or_open, **_HOLDER},
         "released": {"pick": next_or_open},
-        "voided": {"told": told, "reason": TEXT},
+        "voided": {"told": told, "reason": is_text},
         "late": {
-            "pick": number(lambda i: i < asked, f"a number of the {asked} picks"),
-            "outcome": (lambda o: o in ("told", "failed", "deferred"), "what came"),
-            "token": TEXT,
+            "pick": number(lambda i: i < asked),
+            "outcome": lambda outcome: outcome in ("told", "failed", "deferred"),
+            "token": is_text,
             **(returns if event.data.get("outcome") == "told" else {}),
         },
         "told": {
             "pick": or_null(one_open),
             "sources": sources,
             **returns,
-            "cost": (at_least(0.0), "a finite number >= 0"),
-            **dict.fromkeys(("seconds", "steps", "evaluation_steps"), _SECONDS),
-            **dict.fromkeys(("policy", "state"), _POLICY),
-            **dict.fromkeys(("sha256", "recipe", "state_sha256"), _MAYBE_TEXT),
-            "token": or_null(_TOKEN),
+            "cost": at_least(0.0),
+            **dict.fromkeys(("seconds", "steps", "evaluation_steps"), _amount),
+            **dict.fromkeys(("policy", "state"), or_null(is_policy_place)),
+            **dict.fromkeys(("sha256", "recipe", "state_sha256"), or_null(is_text)),
+            "token": or_null(_is_token),
         },
         "failed": failure,
         "deferred": failure,
-        "reopened": {
-            "pick": number(
-                lambda i: any(failed.pick == i for failed in state.failures),
-                "the number of a failed pick",
-            )
-        },
-        "stopped": {"reason": TEXT},
+        "reopened": {"pick": number(lambda i: any(one.pick == i for one in state.failures))},
+        "stopped": {"reason": is_text},
         "reported": {
-            "episodes": COUNT,
-            "best_single": number(lambda i: i < rows, f"the place of one of the {rows} rows"),
-            "baselines": or_null((each(is_text), "a list of names")),
-            "metrics": or_null(RECORD),
+            "episodes": is_count,
+            "best_single": number(lambda i: i < rows),
+            "baselines": or_null(each(is_text)),
+            "metrics": or_null(is_record),
         },
     }
     return table.get(event.kind, {})

@@ -14,7 +14,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
 from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
-from mbtl.selectors import SelectionProblem, Selector
+from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
@@ -55,15 +55,13 @@ class Stopping:
 
     Attributes:
         value: V, performance, that is enough; needs bounds.
-        gain: in V, that one more training should be worth, as the strategy predicts after three
-            rows or more; needs bounds.
-        left: gain in V that all trainings left together should be worth, or that is left to what
-            `Objective.best_return` is worth; needs bounds.
+        left: gain in V that all trainings left together should be worth, as the strategy predicts
+            after three rows or more, or that is left to what `Objective.best_return` is worth;
+            needs bounds.
         confidence: how probable that must be, and that V is what it seems, in (0, 1).
     """
 
     value: float | None = None
-    gain: float | None = None
     left: float | None = None
     confidence: float = 0.9
 
@@ -120,7 +118,8 @@ def create_study(
         whole("seed", seed),
     )
     check_spec(spec)
-    _check_axes(chosen, spec.selection_problem())
+    if traits_of(chosen).one_axis:
+        _ = spec.selection_problem().line  # refuses several
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
@@ -183,9 +182,10 @@ def _spec(
     if pair is not None:
         Bounds(*pair, direction, floor)
     best = facts.best_return if aim.best_return is None else aim.best_return
-    _check_stopping(strategy, end, pair)
+    _check_stopping(end, pair)
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
+    targets = evaluation.targets
     return StudySpec(
         space,
         whole("budget", budget),
@@ -201,8 +201,7 @@ def _spec(
         described(dict(facts.settings)),
         _costs_of(None if cost is None else cost.per_context, space),
         real("risk", aim.risk),
-        _target_count(evaluation.targets, space.n),
-        real("gain of Stopping", end.gain),
+        None if targets is None else whole("targets of Evaluation", targets),
         real("confidence of Stopping", end.confidence),
         real("left of Stopping", end.left),
         finite("best_return", best),
@@ -337,14 +336,12 @@ def _costs_of(
         array = floats(given)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
-    if array.shape != (space.n,):
-        raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
     return tuple(array.tolist())
 
 
-def _check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
-    """What is said in performance needs bounds, and a predicted gain somebody who predicts it."""
-    for name in ("value", "gain", "left"):
+def _check_stopping(end: Stopping, bounds: object) -> None:
+    """What is said in performance needs bounds."""
+    for name in ("value", "left"):
         value = getattr(end, name)
         if value is not None and bounds is None:
             raise InvalidInput(
@@ -358,27 +355,6 @@ def _check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
         raise InvalidInput(
             f"confidence of Stopping is a probability in (0, 1), got {short(end.confidence)}"
         )
-    if end.gain is not None and not traits_of(selector).predicts_chances:
-        raise InvalidInput(
-            f"gain of Stopping needs a strategy that predicts chances of a gain, such as 'auto', "
-            f"got {selector.name!r}"
-        )
-
-
-def _check_axes(selector: Selector, problem: SelectionProblem) -> None:
-    """Contexts on several axes are not for every selector."""
-    if traits_of(selector).one_axis:
-        _ = problem.line  # refuses others
-
-
-def _target_count(count: int | None, n: int) -> int | None:
-    """A whole number from 1 to `n`, or None."""
-    if count is None:
-        return None
-    count = whole("targets of Evaluation", count)
-    if not 1 <= count <= n:
-        raise InvalidInput(f"targets of Evaluation must be from 1 to {n}, got {count}")
-    return count
 
 
 def _pair_of(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:

@@ -238,7 +238,6 @@ def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Ta
         sa.Column("study", sa.String(200), primary_key=True),
         sa.Column("token", sa.String(64), primary_key=True),
         sa.Column("expires", sa.Float(53), nullable=False),
-        sa.Column("steps", sa.Float(53)),
     )
     writer = engine.execution_options(**{WRITES: create})
     with database_errors(url), writer.begin() as connection:

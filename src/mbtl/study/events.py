@@ -49,16 +49,3 @@ class Event:
     arrays: Mapping[str, Array] = field(default_factory=dict)
     seq: int = 0
     time: float = 0.0
-
-
-@dataclass(frozen=True)
-class Beat:
-    """The last sign of life of a lease.
-
-    Attributes:
-        expires: seconds since the epoch, by the clock of the database.
-        steps: environment steps done; None: not said.
-    """
-
-    expires: float
-    steps: float | None = None

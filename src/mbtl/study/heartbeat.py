@@ -8,7 +8,6 @@ from logging import getLogger
 from mbtl.errors import MbtlError
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.records import Pick
-from mbtl.trainers.contract import Progress
 
 _logger = getLogger(__name__)
 
@@ -32,7 +31,6 @@ class Keeper:
         self._log = study.log
         self._held: dict[int, Pick] = {}
         self._lost: set[str] = set()
-        self._said: dict[str, Progress] = {}
         self._seq = 0
         self._ended = threading.Event()
         self._lock = threading.Lock()
@@ -60,15 +58,10 @@ class Keeper:
         """It is answered, or given back."""
         with self._lock:
             self._held.pop(pick.number, None)
-            self._said.pop(pick.token, None)
 
     def is_lost(self, pick: Pick) -> bool:
         """True when somebody took it over or away: its training is for nothing."""
         return pick.token in self._lost
-
-    def said(self, pick: Pick, progress: Progress) -> None:
-        """What the next heartbeat tells of a training."""
-        self._said[pick.token] = progress
 
     # ---- inside, in the thread ---------------------------------------------------------------
 
@@ -92,6 +85,4 @@ class Keeper:
         with self._lock:
             alive = [pick for pick in self._held.values() if pick.token not in self._lost]
         for pick in alive:
-            said = self._said.get(pick.token)
-            steps = None if said is None else float(said.step)
-            self._log.beat(pick.token, self.seconds, steps=steps)
+            self._log.beat(pick.token, self.seconds)

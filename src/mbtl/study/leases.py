@@ -17,7 +17,6 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from mbtl.study.events import Beat
 from mbtl.study.storage import EventLog
 
 PROPOSING = 60.0
@@ -63,15 +62,10 @@ class Watch:
             return True
         if self._now <= lease.since + lease.seconds:
             return False
-        beat = self._beats.get(lease.token)
-        return beat is None or self._now > beat.expires
-
-    def beat(self, token: str) -> Beat | None:
-        """The last heartbeat of a lease; None: it gave none."""
-        return self._beats.get(token)
+        return self._now > self._beats.get(lease.token, 0.0)
 
     @cached_property
-    def _beats(self) -> Mapping[str, Beat]:
+    def _beats(self) -> Mapping[str, float]:
         return self._log.beats()
 
     @cached_property
@@ -138,11 +132,6 @@ class Presence:
                 return True
         except (OSError, Timeout, NotImplementedError):
             return False
-
-    def is_known(self, worker: str) -> bool:
-        """True where its end would be known at once."""
-        place = self._place(worker)
-        return place is not None and place.is_file()
 
     def _forget(self, worker: str, leases: Iterable[Lease]) -> None:
         place = self._place(worker)

@@ -35,9 +35,9 @@ class StudySpec:
         costs: cost of a training on each context; None where all cost the same.
         risk: share of the targets, the worst of them, that V is the mean of.
         eval_targets: targets that each policy is evaluated on; None for all.
-        stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
-        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        stop_left: gain in V that all trainings left together should be worth; None: never ends for
+            that.
         best_return: no policy can return more (less, if minimised); None: not known.
         floor: return below which none is worse in performance; None: nothing is clipped.
         any_training: the selector is a strategy that asks for trainings of every kind.
@@ -61,7 +61,6 @@ class StudySpec:
     costs: tuple[float, ...] | None = None
     risk: float = 1.0
     eval_targets: int | None = None
-    stop_gain: float | None = None
     stop_confidence: float = 0.9
     stop_left: float | None = None
     best_return: float | None = None
@@ -87,7 +86,6 @@ class StudySpec:
             costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
             cost_budget=self.cost_budget,
             risk=self.risk,
-            least_gain=self.stop_gain,
             least_left=self.stop_left,
             abilities=abilities if self.any_training else None,
             assumed=assumed,
@@ -124,16 +122,17 @@ def check_spec(spec: StudySpec) -> None:
     Raises:
         InvalidInput: the first that breaks its rule.
     """
-    for name, (holds, words) in _SPEC.items():
-        value = getattr(spec, name)
-        if not holds(value):
-            raise InvalidInput(f"{name} must be {words}, got {short(value)}")
+    for name, holds in _SPEC.items():
+        if not holds(getattr(spec, name)):
+            raise InvalidInput(f"`{name}` of a study cannot be {short(getattr(spec, name))}")
     Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
     spec.selection_problem()
     if spec.steps is not None and None in (spec.unit, spec.target_steps):
         raise InvalidInput("a study that counts steps must know those of a unit and of a target")
-    if spec.eval_targets is not None and spec.eval_targets > spec.space.n:
-        raise InvalidInput(f"eval_targets must be at most {spec.space.n}")
+    if spec.eval_targets is not None and not 1 <= spec.eval_targets <= spec.space.n:
+        raise InvalidInput(
+            f"policies are evaluated on 1 to {spec.space.n} targets, got {spec.eval_targets}"
+        )
 
 
 # ---- rules -------------------------------------------------------------------------------------
@@ -141,8 +140,8 @@ def check_spec(spec: StudySpec) -> None:
 _HUGE = 1e300
 """Of facts: differences of numbers below this are numbers, too."""
 
-Rule = tuple[Callable[[Any], bool], str]
-"""What a fact must satisfy, and that in words."""
+Rule = Callable[[Any], bool]
+"""What a fact must satisfy."""
 
 
 def is_whole(value: Any) -> bool:
@@ -168,19 +167,24 @@ def is_text(value: Any) -> bool:
     return isinstance(value, str)
 
 
-def at_least(least: float, is_one: Callable[[Any], bool] = is_number) -> Callable[[Any], bool]:
+def at_least(least: float, is_one: Rule = is_number) -> Rule:
     """Rule of numbers from `least` on."""
     return lambda value: is_one(value) and value >= least
 
 
-def maybe(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+def or_null(rule: Rule) -> Rule:
     """Rule that None keeps, too."""
     return lambda value: value is None or rule(value)
 
 
-def each(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+def each(rule: Rule) -> Rule:
     """Rule of lists whose items keep one."""
     return lambda value: isinstance(value, (list, tuple)) and all(map(rule, value))
+
+
+def is_flag(value: Any) -> bool:
+    """True or false."""
+    return isinstance(value, bool)
 
 
 def is_record(value: Any) -> bool:
@@ -188,29 +192,20 @@ def is_record(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
-def or_null(rule: Rule) -> Rule:
-    """A rule that null keeps, too."""
-    return maybe(rule[0]), f"{rule[1]}, or null"
-
-
-TEXT: Rule = (is_text, "text")
-RECORD: Rule = (is_record, "a record")
-COUNT: Rule = (at_least(1, is_whole), "a whole number of 1 or more")
-SEED: Rule = (is_seed, "a whole number >= 0")
-NUMBER: Rule = or_null((is_number, "a finite number"))
-FLAG: Rule = (lambda value: isinstance(value, bool), "true or false")
+is_count = at_least(1, is_whole)
 
 _SPEC: dict[str, Rule] = {
-    "budget": (is_whole, "a whole number"),
-    "selector": (lambda one: is_record(one) and is_text(one.get("name")), "a record with a name"),
-    "bounds": or_null((lambda b: len(b) == 2 and all(map(is_number, b)), "two finite numbers")),
-    "costs": or_null((each(is_number), "finite numbers")),
-    "problem": TEXT,
-    "settings": RECORD,
-    "any_training": FLAG,
-    **dict.fromkeys(("seed", "trial"), SEED),
-    **dict.fromkeys(("risk", "stop_confidence"), (is_number, "a number")),
-    **dict.fromkeys(("theta", "stop_value", "stop_gain", "stop_left"), NUMBER),
-    **dict.fromkeys(("cost_budget", "best_return", "floor"), NUMBER),
-    **dict.fromkeys(("eval_targets", "steps", "unit", "target_steps"), or_null(COUNT)),
+    "budget": is_whole,
+    "selector": lambda one: is_record(one) and is_text(one.get("name")),
+    "bounds": or_null(lambda pair: len(pair) == 2 and all(map(is_number, pair))),
+    "costs": or_null(each(is_number)),
+    "problem": is_text,
+    "settings": is_record,
+    "any_training": is_flag,
+    **dict.fromkeys(("seed", "trial"), is_seed),
+    **dict.fromkeys(("risk", "stop_confidence"), is_number),
+    **dict.fromkeys(("theta", "stop_value", "stop_left"), or_null(is_number)),
+    **dict.fromkeys(("cost_budget", "best_return", "floor"), or_null(is_number)),
+    "eval_targets": or_null(is_whole),
+    **dict.fromkeys(("steps", "unit", "target_steps"), or_null(is_count)),
 }

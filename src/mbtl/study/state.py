@@ -46,8 +46,6 @@ class StudyState:
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
     """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
-    late: list[Event] = field(default_factory=list)
-    """Results of picks that were somebody else's by then; they count for nothing."""
     fresh: FreshReturns | None = None
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies, and own code; None: not known so far."""
@@ -105,14 +103,18 @@ class StudyState:
         if not self.rows:
             raise StudyError("routes need the row of at least one policy, and none was told")
         if self._routing is None or len(self._routing) != len(self.rows):
-            spec, history = self.spec, self.history()
+            spec, history, earlier = self.spec, self.history(), self._routing
+            if earlier is not None:  # bounds that were not given move with the rows
+                first = history.rows[: len(earlier)]
+                same = np.array_equal(earlier.rows, first, equal_nan=True)
+                earlier = earlier if same else None
             self._routing = Routing(
                 spec.space,
                 history.sources,
                 history.rows,
                 self._episodes(),
                 risk=spec.risk,
-                earlier=self._routing,
+                earlier=earlier,
             )
         return self._routing
 
@@ -455,7 +457,7 @@ class StudyState:
         self._forget()
 
     def _late(self, event: Event) -> None:
-        self.late.append(event)
+        """The pick was somebody else's by then, so it counts for nothing."""
 
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])

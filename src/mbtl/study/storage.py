@@ -16,9 +16,7 @@ import json
 import threading
 import time
 import weakref
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -39,16 +37,12 @@ from mbtl.study.database import (
     open_database,
     shown,
 )
-from mbtl.study.events import KINDS, Beat, Event, Kind
+from mbtl.study.events import KINDS, Event, Kind
 
 if TYPE_CHECKING:
     import sqlalchemy as sa
 
 T = TypeVar("T")
-
-
-_PATIENCE, _LONGEST = "3s", "20s"
-"""For which a turn is waited for, and for which a worker that went away silently may keep one."""
 
 
 class Conflict(StorageError):
@@ -75,16 +69,12 @@ class EventLog(Protocol):
         """Seconds since the epoch, by the one clock that also stamps the events."""
         ...
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """The holder of a lease lives, and will be heard of again within so many seconds."""
         ...
 
-    def beats(self) -> Mapping[str, Beat]:
-        """The last heartbeat of each lease, by its token."""
-        ...
-
-    def turn(self) -> AbstractContextManager[None]:
-        """Others that write wait meanwhile, where the database can make them."""
+    def beats(self) -> Mapping[str, float]:
+        """Until when each lease was last said to live, by its token."""
         ...
 
 
@@ -93,7 +83,7 @@ class MemoryLog:
 
     def __init__(self) -> None:
         self._events: list[Event] = []
-        self._beats: dict[str, Beat] = {}
+        self._beats: dict[str, float] = {}
         self._lock = threading.Lock()
 
     def append(self, event: Event, *, after: int) -> int:
@@ -114,17 +104,13 @@ class MemoryLog:
         """This process's clock."""
         return time.time()
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """Keep the last one of each lease."""
-        self._beats[token] = Beat(time.time() + seconds, steps)
+        self._beats[token] = time.time() + seconds
 
-    def beats(self) -> Mapping[str, Beat]:
+    def beats(self) -> Mapping[str, float]:
         """The last heartbeats."""
         return dict(self._beats)
-
-    def turn(self) -> AbstractContextManager[None]:
-        """Nobody else is here."""
-        return nullcontext()
 
 
 class SqlLog:
@@ -151,9 +137,6 @@ class SqlLog:
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return SqlLog, (self.url, self.study)  # another process opens it anew
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
@@ -220,12 +203,12 @@ class SqlLog:
         """The server's clock; of a file, this machine's."""
         return self._do(self._now)
 
-    def beat(self, token: str, seconds: float, *, steps: float | None = None) -> None:
+    def beat(self, token: str, seconds: float) -> None:
         """Write the row of this lease; see `EventLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
-        facts = {"expires": clock(self._engine) + seconds, "steps": steps}
+        facts = {"expires": clock(self._engine) + seconds}
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: sa.Connection) -> None:
@@ -234,49 +217,14 @@ class SqlLog:
 
         self._do(write, writes=True)
 
-    def beats(self) -> Mapping[str, Beat]:
+    def beats(self) -> Mapping[str, float]:
         """The rows of this study; see `EventLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
 
-        def fetch(connection: sa.Connection) -> dict[str, Beat]:
-            columns = (t.c.token, t.c.expires, t.c.steps)
-            rows = connection.execute(sa.select(*columns).where(t.c.study == self.study))
-            return {token: Beat(*facts) for token, *facts in rows}
-
-        return self._do(fetch)
-
-    @contextmanager
-    def turn(self) -> Iterator[None]:
-        """Many who write to one study on a server queue up there, instead of colliding.
-
-        An append compares by itself what it follows, so nothing depends on a turn, and whatever
-        goes wrong with one goes wrong again, and is said, when something is written. Without turns,
-        though, most appends of sixty workers come too late, and each look and each try costs all of
-        them time. The turn is a transaction of its own; no effect where this is no PostgreSQL.
-        """
-        import sqlalchemy as sa
-
-        if self._engine.dialect.name != "postgresql":
-            yield
-            return
-        key = zlib.crc32(f"mbtl {self.study}".encode("utf-8", "surrogatepass"))
-        wait = sa.select(
-            sa.func.set_config("lock_timeout", _PATIENCE, True),
-            sa.func.set_config("idle_in_transaction_session_timeout", _LONGEST, True),
-            sa.func.pg_advisory_xact_lock(key),
-        )
-        connection = None
-        with suppress(sa.exc.SQLAlchemyError):
-            connection = self._engine.connect()
-            connection.execute(wait)
-        try:
-            yield
-        finally:
-            if connection is not None:
-                with suppress(sa.exc.SQLAlchemyError):
-                    connection.close()
+        query = sa.select(t.c.token, t.c.expires).where(t.c.study == self.study)
+        return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
     # ---- inside ------------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import pickle
 import random
-import shlex
 import sys
 import time
 import uuid
@@ -38,16 +37,15 @@ from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
-from mbtl.study.batch import Batches, brought_back, failure, few_episodes
+from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
-from mbtl.study.database import database_file, shown
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
 from mbtl.study.records import Failure, Pick, StudyFinished
 from mbtl.study.tell import sources_of
 from mbtl.study.time_limits import at_most, too_long
-from mbtl.study.trainings import Trainings
+from mbtl.study.trainings import Training
 from mbtl.trainers.contract import (
     FunctionTrainer,
     MeasuringTrainer,
@@ -81,7 +79,7 @@ class Failures:
             it was.
         retry_failed: train again where trainings of former runs failed; see `Study.retry`.
         rehearse: evaluate an untrained policy on two contexts before the first training, where the
-            trainer can make one; else the first policy on two contexts before all others.
+            trainer can make one; else read the first policy back before it is evaluated.
 
     Raises:
         InvalidInput: a number that is too small.
@@ -106,8 +104,6 @@ class Workers:
         parallel: picks trained at the same time. Each is told when it is done, and the next one is
             proposed at once, without the rows of those under way.
         executor: does them when `parallel` > 1; None: processes of this machine.
-        deterministic: ask for the next picks only when all of a batch are told, so that a study
-            does not depend on how long trainings take. Slots stand idle meanwhile.
         lease: seconds without a sign of life after which other runs take the trainings over. On one
             machine they do so at once when the process has ended.
         timeout: seconds that a training and its evaluation may take; longer ones are ended, and
@@ -120,7 +116,6 @@ class Workers:
 
     parallel: int = 1
     executor: Executor | None = None
-    deterministic: bool = False
     lease: float = LEASE
     timeout: float | None = None
 
@@ -135,8 +130,7 @@ class Workers:
 class Study(AskTell):
     """One selection run over an event log. Make one with `create_study` or `load_study`.
 
-    Threads may share one. Sent to another process (pickled), it is opened there anew, as another
-    worker; policies that are in memory only stay here.
+    Threads may share one; another process opens it with `load_study`, as another worker.
 
     Attributes:
         name: within its storage.
@@ -258,7 +252,7 @@ class RunResult:
     study: Study
     curve: Array
     fresh: FreshValue | None
-    trainings: Trainings
+    trainings: tuple[Training, ...]
     failures: tuple[Failure, ...]
     stop_reason: str | None
     seconds: float
@@ -291,11 +285,8 @@ class Callback:
     once, and nothing is lost.
     """
 
-    def on_shared(self, study: Study, others: Sequence[str]) -> None:
-        """The run begins while other processes work on the same study; they share its picks."""
-
     def on_note(self, study: Study, words: str) -> None:
-        """A sentence that people should read."""
+        """A sentence that people should read, such as who else works on the study."""
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A pick was asked for and its training starts."""
@@ -326,14 +317,8 @@ class Callback:
         be saved here, or the process ended.
         """
 
-    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
-        """Nothing is left to do but what others are at; the run waits for them, or does it."""
-
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """The policies are now evaluated on fresh seeds, as often as the plan says."""
-
-    def on_report_failed(self, study: Study, reason: str) -> None:
-        """That evaluation failed; V on fresh episodes stays unknown."""
 
     def on_end(self, study: Study) -> None:
         """The run ends, also by an interrupt."""
@@ -350,10 +335,6 @@ class PrintProgress(Callback):
 
     def __init__(self, file: TextIO | None = None) -> None:
         self._file = file
-
-    def on_shared(self, study: Study, others: Sequence[str]) -> None:
-        """Who else works here."""
-        self._say(shared_words(others), style="yellow")
 
     def on_note(self, study: Study, words: str) -> None:
         """The sentence."""
@@ -384,17 +365,9 @@ class PrintProgress(Callback):
             "worker processes (Workers(2)) would be killed"
         )
 
-    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
-        """Why nothing happens."""
-        self._say(waiting_words(study, others))
-
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """How much is evaluated."""
         self._say(f"measuring V on fresh episodes: {plan}")
-
-    def on_report_failed(self, study: Study, reason: str) -> None:
-        """Why V stays an estimate."""
-        self._say(f"V on fresh episodes could not be measured: {reason}", style="red")
 
     def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
         """One line; of a pick that has ended, where it says so."""
@@ -406,33 +379,6 @@ def estimate(study: Study) -> str:
     now = study.routing.value
     bar = f" +- {now.margin:.4f}" if now.margin > 0.0 else ""
     return f"V = {now.value:.4f}{bar}, estimated"
-
-
-def shared_words(others: Sequence[str]) -> str:
-    """That other workers are at a study, in a sentence."""
-    works = "works" if len(others) == 1 else "work"
-    return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
-
-
-def waiting_words(study: Study, others: Sequence[str]) -> str:
-    """What a run waits for, and how not to wait for a worker of whose end nobody would know."""
-    said = f"waiting for the last trainings of {', '.join(others)}"
-    unknown = [one for one in others if not study.presence.is_known(one)]
-    if not unknown:
-        return said
-    return (
-        f"{said}; if {unknown[0]} has ended, `mbtl study release {place_words(study)} {unknown[0]}`"
-        " hands them out at once, and else its silence is waited for"
-    )
-
-
-def place_words(study: Study) -> str:
-    """What names a stored study on the command line."""
-    url = getattr(study.log, "url", "")
-    file = database_file(url)
-    if file is None:
-        return f"{shlex.quote(shown(url))} --name {shlex.quote(study.name)}"
-    return shlex.quote(str(file.parent if file.name == "study.db" else file))
 
 
 # ---- a run ------------------------------------------------------------------------------------
@@ -493,8 +439,6 @@ def run(
             for failed in list(study.refresh().failures) if again else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
-            if not study.state.rows and (words := few_episodes(study.state, trainer)):
-                announce("on_note", words)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
@@ -505,7 +449,7 @@ def run(
                 workers.timeout, failures.retries,
             )  # fmt: skip
             ask = partial(_next_pick, study, keeper, may_begin)
-            do_all = partial(batches.do, workers.parallel, ask, together=workers.deterministic)
+            do_all = partial(batches.do, workers.parallel, ask)
             try:
                 do_all()
                 while wait and _wait_for_others(study, announce, may_begin):
@@ -604,7 +548,7 @@ def _wait_for_others(
             return False
         if not announced:
             announced = True
-            announce("on_waiting", theirs)
+            announce("on_note", f"waiting for the last trainings of {', '.join(theirs)}")
         time.sleep(pause * random.uniform(0.5, 1.0))
         pause = min(1.5 * pause, _LONGEST_LOOK)
     return True
@@ -619,7 +563,11 @@ def _report(
     whole: bool,
 ) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
-    failed, beside = partial(announce, "on_report_failed"), study.beside
+    beside = study.beside
+
+    def failed(reason: str) -> None:
+        announce("on_note", f"V on fresh episodes could not be measured: {reason}")
+
     planned = partial(plan_to_do, study.state, study.policies, whole=whole, metrics=beside.metrics)
     if planned(baselines=beside.baselines) is None:
         return
@@ -667,10 +615,11 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
 def _announce_others(study: Study, announce: Callable[..., None]) -> None:
     """A second process joins on purpose or by mistake; people should know which."""
     others = ask.others(study.refresh(), study.watch(), study.worker)
-    if not others:
-        return
-    _logger.warning("%s", shared_words(others))
-    announce("on_shared", others)
+    if others:
+        works = "works" if len(others) == 1 else "work"
+        words = f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
+        _logger.warning("%s", words)
+        announce("on_note", words)
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import missing_extra
 from mbtl.study.leases import Watch
 from mbtl.study.records import Failure, PickRecord
 from mbtl.study.state import StudyState
@@ -28,7 +27,7 @@ class Training:
         home_return: mean return on its own context, raw units; None where not evaluated.
         value: V after it, performance, by the rows that routed the policies; None unless told.
         seconds: wall time of training and evaluation; None: not known.
-        steps: environment steps that the training last reported; None: it reported none.
+        steps: environment steps of the training; None: it is not answered, or they are not known.
         cost: of the training, in the unit of the cost budget; None unless told.
         worker: name of who held it last; None: nobody did, or it is not known.
         seed: of the training; None where nobody asked for it.
@@ -79,31 +78,8 @@ class Training:
         return f"{where}{between}{self.how}" if self.how else where
 
 
-class Trainings(tuple[Training, ...]):
-    """Trainings in the order in which they were asked for, or told unasked."""
-
-    def to_frame(self) -> Any:
-        """A pandas table, a line per training; `context_<axis>` has the values of each axis.
-
-        Raises:
-            MissingExtra: pandas is not installed.
-        """
-        try:
-            import pandas
-        except ModuleNotFoundError as error:
-            raise missing_extra("pandas", "frames") from error
-        names = [f.name for f in fields(Training) if f.name != "context"]
-        lines = [
-            {name: getattr(one, name) for name in names[:3]}
-            | {f"context_{axis}": value for axis, value in one.context.items()}
-            | {name: getattr(one, name) for name in names[3:]}
-            for one in self
-        ]
-        return pandas.DataFrame(lines, columns=list(lines[0]) if lines else names)
-
-
-def trainings_of(state: StudyState, watch: Watch) -> Trainings:
-    """All of a study, as of this state."""
+def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
+    """All of a study, as of this state, in the order in which they were asked for, or told."""
     rows = {row.pick: place for place, row in enumerate(state.rows) if row.pick is not None}
     failures = {failure.pick: failure for failure in state.failures}
     curve = state.curve()
@@ -111,7 +87,7 @@ def trainings_of(state: StudyState, watch: Watch) -> Trainings:
     for pick in state.picks:
         trouble = failures.get(pick.number) or state.deferred.get(pick.number)
         place = rows.get(pick.number)
-        told = {"steps": _reported(watch, pick)} | _told(state, curve, place)
+        told = _told(state, curve, place)
         asked = Training(
             pick.number,
             pick.source,
@@ -120,6 +96,7 @@ def trainings_of(state: StudyState, watch: Watch) -> Trainings:
             worker=pick.last_worker,
             seed=state.seed_of(pick),
             reason=pick.reason,
+            steps=None if trouble is None else trouble.steps,
             error=None if trouble is None else trouble.reason,
             sources=pick.sources,
             length=pick.length,
@@ -133,7 +110,7 @@ def trainings_of(state: StudyState, watch: Watch) -> Trainings:
             context = state.spec.space.context(row.source)
             unasked = Training(None, row.source, context, sources=row.sources)
             found.append((row.told_at, replace(unasked, **_told(state, curve, place))))
-    return Trainings(one for _, one in sorted(found, key=lambda pair: pair[0]))
+    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 
 def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
@@ -148,7 +125,7 @@ def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
         "seconds": row.seconds,
         "cost": row.cost,
         "place": place,
-        **({} if row.steps is None else {"steps": row.steps}),
+        "steps": row.steps,
     }
 
 
@@ -160,9 +137,3 @@ def _condition(state: StudyState, watch: Watch, pick: PickRecord, failure: Failu
     if pick.lease is None:
         return "waiting"
     return "stale" if watch.is_stale(pick.lease) else "running"
-
-
-def _reported(watch: Watch, pick: PickRecord) -> float | None:
-    """Steps by the last heartbeat of whoever held it last and said so."""
-    said = [watch.beat(token) for token in reversed(pick.tokens)]
-    return next((beat.steps for beat in said if beat is not None and beat.steps is not None), None)

@@ -35,13 +35,12 @@ class EventLogContract:
         assert dict(log.beats()) == {}
         log.append(Event("created", {}), after=0)
         log.beat("a", 5.0)
-        log.beat("b", 5.0, steps=3)
-        log.beat("a", 50.0, steps=4)
+        log.beat("b", 5.0)
+        log.beat("a", 50.0)
         now, beats = log.now(), log.beats()
         assert set(beats) == {"a", "b"}
-        assert (beats["a"].steps, beats["b"].steps) == (4, 3)
-        assert beats["a"].expires > beats["b"].expires > log.read()[0].time
-        assert now - 10.0 < beats["a"].expires - 50.0 <= now
+        assert beats["a"] > beats["b"] > log.read()[0].time
+        assert now - 10.0 < beats["a"] - 50.0 <= now
 
     def test_a_late_append_conflicts_and_changes_nothing(self, log: EventLog) -> None:
         """Who appends second has to look again."""

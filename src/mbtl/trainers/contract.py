@@ -82,7 +82,7 @@ Ability = Literal["sets", "start", "length", "state", "inherit", "resume"]
 - "resume": keep that state now and then in a whole training, too, so that another worker can go on.
 """
 
-_DEEDS: Mapping[Ability, str] = {
+DEEDS: Mapping[Ability, str] = {
     "sets": "train one policy on several contexts",
     "start": "begin with the weights of a policy",
     "length": "train for a length that is chosen",
@@ -90,6 +90,7 @@ _DEEDS: Mapping[Ability, str] = {
     "inherit": "begin with the state of another training",
     "resume": "go on with a training that was interrupted",
 }
+"""Each of them in words."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def refusal(trainer: Trainer, ability: Ability) -> str | None:
     if ability in trainer.takes:
         return None
     why = getattr(trainer, "why_not", "its `takes` does not name {!r}".format)(ability)
-    return f"{type(trainer).__name__} cannot {_DEEDS[ability]}: {why}"
+    return f"{type(trainer).__name__} cannot {DEEDS[ability]}: {why}"
 
 
 def check_asked(

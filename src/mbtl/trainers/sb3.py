@@ -486,8 +486,6 @@ class SB3Trainer:
         first = make()  # tells what it is; used where it is, as it cannot be sent to a process
         try:
             refuse_running_statistics(first)
-            if self.normalize_observations:
-                _check_normalised(first.observation_space)
         except InvalidInput:
             end(first)
             raise
@@ -557,16 +555,3 @@ def _monitored(make: Callable[[], Any]) -> Any:
     from mbtl.envs.spaces import Plain
 
     return Monitor(Plain(make()))
-
-
-def _check_normalised(space: Any) -> None:
-    """Refuse observations that cannot be standardised."""
-    if callable(space):  # of a team, which is refused
-        return
-    parts = getattr(space, "spaces", {"": space}).values()
-    if not all(getattr(part, "dtype", None) in (np.float32, np.float64) and hasattr(part, "low")
-               for part in parts):  # fmt: skip
-        raise InvalidInput(
-            "observations that are standardised are boxes of real numbers, got "
-            f"{space}; give the environment such, or leave normalize_observations out"
-        )
