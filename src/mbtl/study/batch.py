@@ -18,7 +18,7 @@ from typing import Any
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
-from mbtl.study.artifacts import Artifact
+from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
@@ -62,7 +62,7 @@ class Batches:
         trainer: does the work.
         executor: where; None: in this thread, each as it is begun.
         failures_allowed: failures in a row that are borne; one more ends the run.
-        rehearse: the first policy is read back before it is evaluated.
+        rehearse: the first policy is read back and evaluated on two targets before all else.
         announce: calls a method of all callbacks, by its name, with what it takes.
         keeper: keeps the leases of the picks.
         timeout: seconds that a training and its evaluation may take; None: as many as they want.
@@ -283,6 +283,7 @@ class Batches:
             places_of(study, pick),
             study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
+            spools_of(study.database) if study.is_durable else (),
             self.timeout,
             start,
             pick.done,

@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -74,7 +74,8 @@ class Job:
         places: in the store, where others may have left the policy, or an unfinished training of
             it; the last one is where it is to be written, and nobody else writes there.
         kept: the policy, where it was trained before in this process and could not be saved.
-        rehearse: no policy was told so far, so it is seen whether this one can be read back.
+        rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
+        spools: where the policy waits while the store cannot be written, best first.
         timeout: seconds for all of it; None: no limit.
         start: the policy to begin with; None: from scratch.
         done: units that its training has had, where it goes on.
@@ -95,6 +96,7 @@ class Job:
     places: Sequence[str] = ("",)
     kept: Kept | None = None
     rehearse: bool = False
+    spools: tuple[FolderStore, ...] = ()
     timeout: float | None = None
     start: Kept | None = None
     done: float = 0.0
@@ -181,8 +183,8 @@ def perform(
                 stage = "loading"
                 kept = Kept(_begun_with(job), Artifact("", ""))
             if kept is None and (found := _left(job)) is not None:
-                stage, kept = "loading", Kept(None, found)
-                kept = _found(job, found)
+                stage, kept = "loading", Kept(None, found[1])
+                kept = _found(job, *found)
             if kept is None:
                 kept = _trained(job, steps)
                 on_kept(kept)
@@ -198,6 +200,12 @@ def perform(
                 stage = "loading"  # what cannot be read back is found out with the first policy
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
             stage = "evaluation"
+            if job.rehearse and len(job.targets) > 2:
+                last = len(job.targets) - 1
+                seeds = job.evaluation_seeds[::last]
+                _evaluated(
+                    replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
+                )
             returns, played = _evaluated(job, kept.policy)
     except (TrainingPruned, TookTooLong) as error:
         return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
@@ -276,13 +284,19 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     return checked, steps if steps == steps else None
 
 
-def _left(job: Job) -> Artifact | None:
+def _left(job: Job) -> tuple[ArtifactStore, Artifact] | None:
     """Where the policy of this very training is, by somebody who was ended after it."""
-    if job.store is None:
-        return None
+    for store in () if job.store is None else (job.store, *job.spools):
+        if (found := _left_in(store, job)) is not None:
+            return store, found
+    return None
+
+
+def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
+    """The policy of this training in one store."""
     made = equipment_of(job.trainer)
     for place in reversed(job.places):
-        receipt = job.store.receipt(place)
+        receipt = store.receipt(place)
         if (
             receipt is not None
             and receipt.get("seed") == job.seed
@@ -291,7 +305,7 @@ def _left(job: Job) -> Artifact | None:
             and isinstance(receipt.get("sha256"), str)
         ):
             try:
-                job.store.read(place, receipt["sha256"])
+                store.read(place, receipt["sha256"])
             except StorageError:  # of other files by now: no policy of this training
                 continue
             return Artifact(place, receipt["sha256"])
@@ -303,14 +317,16 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _found(job: Job, artifact: Artifact) -> Kept:
-    """What a former worker has left: the policy, and what its receipt says of the training."""
-    assert job.store is not None
-    receipt = job.store.receipt(artifact.place) or {}
+def _found(job: Job, store: ArtifactStore, artifact: Artifact) -> Kept:
+    """What a former worker has left: the policy, and what its receipt says of the training.
+
+    One that waits in a spool is still to be saved.
+    """
+    receipt = store.receipt(artifact.place) or {}
     state = receipt.get("state")
     return Kept(
-        job.trainer.load(_folder(job, artifact)),
-        artifact,
+        job.trainer.load(store.read(artifact.place, artifact.sha256)),
+        artifact if store is job.store else None,
         receipt.get("steps"),
         Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
     )
@@ -429,7 +445,7 @@ def _forget_partial(job: Job) -> None:
 
 
 def _save(job: Job, kept: Kept) -> Artifact | None:
-    """Keep it in the store; where that cannot be written it stays in this process."""
+    """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
     made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
@@ -438,15 +454,37 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:
-        return job.store.write(job.place, fill, receipt)
-    except (InvalidInput, MissingExtra):
+        safe = job.store.write(job.place, fill, receipt)
+    except (StorageError, OSError) as error:
+        waits = _spooled(job, fill, receipt)
+        then = (
+            f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
+        )
+        why = getattr(error, "strerror", None) or error
+        raise StorageError(
+            f"the policy could not be saved in {job.place} ({why}); {then}: free space or mend "
+            "access, then run the same command again"
+        ) from error
+    except NOT_THE_TRAININGS_FAULT:
         raise
     except FAULTS as error:
-        storage = isinstance(error, (StorageError, OSError))
-        why = getattr(error, "strerror", None) or error if storage else reason_of(error)
-        fix = "free space or mend access" if storage else "mend save"
         raise StorageError(
-            f"the trained policy could not be saved in {job.place} ({why}); it is in the memory of "
-            f"this process alone: {fix} and run the study again here, since another process would "
-            "train it again"
+            f"the trained policy could not be saved, save raised {reason_of(error)}; it is in the "
+            "memory of this process alone: mend save and run the study again here, since another "
+            "process would train it again"
         ) from error
+    for spool in job.spools:
+        for place in job.places:
+            spool.remove(place)
+    return safe
+
+
+def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any]) -> Path | None:
+    """Where the policy waits; None: it could be saved nowhere."""
+    for spool in job.spools:
+        with contextlib.suppress(Exception):  # the next one may do
+            if spool.write(job.place, fill, receipt) is not None:
+                for place in job.places[:-1]:  # where it has waited before
+                    spool.remove(place)
+                return spool.read(job.place)
+    return None

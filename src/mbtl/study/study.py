@@ -79,7 +79,7 @@ class Failures:
             it was.
         retry_failed: train again where trainings of former runs failed; see `Study.retry`.
         rehearse: evaluate an untrained policy on two contexts before the first training, where the
-            trainer can make one; else read the first policy back before it is evaluated.
+            trainer can make one; else the first policy on two contexts before all others.
 
     Raises:
         InvalidInput: a number that is too small.
