@@ -1,15 +1,18 @@
 """Transfer data of the small problems, trainings of every kind, and who is best on them.
 
+    python evidence/small_problems.py [--without]
     python evidence/small_problems.py runs/small --build [--only cart-]
-    python evidence/small_problems.py runs/small [--without]
+
+The data stand in evidence/small; the second command builds them anew.
 
 Each is built in one or two minutes of a core. Several processes may build in one folder: what one
 has begun the others pass over. Interrupted and begun again, it goes on.
 
 The board: the closed fraction at 1 to 15 units, that is the share of the way from one random
-specialist to Oracle Transfer of all specialists, mean over problems, and by how much `auto` is
-ahead, problem by problem, with the standard error. Where that way is short there is no choice to
-judge, and the problem is left out.
+specialist to Oracle Transfer of all specialists, and by how much `auto` is ahead with its standard
+error over problems. Twice: the mean of the shares, in which every problem counts as much; and a
+ratio of sums, in which it counts as long as its way is. Where that way is short there is no choice
+to judge, and the problem is left out.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from mbtl.zoo.benchmark.kinds import Kinds
 from mbtl.zoo.benchmark.transfers import load_transfers, transfer_ids
 from mbtl.zoo.small.problems import groups
 
+SMALL = str(Path(__file__).with_name("small"))
 LANES = 16
 """Trainings of one program."""
 SHOWN = (1, 2, 3, 5, 8, 10, 15)
@@ -59,41 +63,53 @@ def build(folder: Path, only: str, command: str) -> None:
         print(f"{len(files)} from {first} on: {took / len(files):.0f} s each", flush=True)
 
 
-def shares(name: str, folder: str, strategies: dict[str, Auto]) -> dict[str, Array] | None:
-    """(B,) closed fraction of every rival and strategy on one problem; None: there is no way."""
+def ways(name: str, folder: str, strategies: dict[str, Auto]) -> dict[str, Array] | None:
+    """(B,) gone from one random specialist, by rival and strategy; None: there is no way to go.
+
+    And "way", how long it is.
+    """
     data = load_transfers(name, folder=folder)
     table = table_of(data)
-    if (table.high - table.low).sum() < SHORT:
+    way = (table.high - table.low).mean()
+    if way * len(table.high) < SHORT:
         return None
-    found = {who: table.share(rows) for who, rows in table.rivals.items()}
-    return found | {who: table.share(values(one, data, BUDGETS)) for who, one in strategies.items()}
+    rows = dict(table.rivals) | {who: values(s, data, BUDGETS) for who, s in strategies.items()}
+    gone = {who: np.mean(np.atleast_2d(v) - table.low[:, None], axis=0) for who, v in rows.items()}
+    return gone | {"way": np.array(way)}
 
 
 def board(folder: str, only: str, without: bool) -> None:
     names = [name for name in transfer_ids(folder) if name.startswith(only)]
     strategies = variants() if without else {"auto": Auto()}
     with ProcessPoolExecutor() as pool:
-        each = pool.map(partial(shares, folder=folder, strategies=strategies), names)
-        found = {name: one for name, one in zip(names, each, strict=True) if one is not None}
+        each = pool.map(partial(ways, folder=folder, strategies=strategies), names)
+        found = [one for one in each if one is not None]
     at = [BUDGETS.index(units) for units in SHOWN]
-    print(f"{len(found)} of {len(names)} problems\n")
-    print(f"| closed fraction | {' | '.join(map(str, SHOWN))} |")
-    print(f"|---|{'---|' * len(SHOWN)}")
-    for who in dict.fromkeys(who for one in found.values() for who in one):
-        there = [name for name, one in found.items() if who in one]
-        own = np.array([found[name][who][at] for name in there])
-        lead = np.array([found[name]["auto"][at] for name in there]) - own
-        error = lead.std(0, ddof=1) / np.sqrt(len(there))
-        cells = [
-            f"{mean:.2f}" + ("" if who == "auto" else f" ({ahead:+.2f} ± {e:.2f})")
-            for mean, ahead, e in zip(own.mean(0), lead.mean(0), error, strict=True)
-        ]
-        print(f"| {who} ({len(there)}) | {' | '.join(cells)} |")
+    print(f"{len(found)} of {len(names)} problems")
+    for title, by_length in (("mean of shares", False), ("ratio of sums", True)):
+        print(f"\n| {title} | {' | '.join(map(str, SHOWN))} |")
+        print(f"|---|{'---|' * len(SHOWN)}")
+        for who in dict.fromkeys(who for one in found for who in one if who != "way"):
+            there = [one for one in found if who in one]
+            long = np.array([one["way"] for one in there])
+            gone, ahead = (np.array([one[k][at] for one in there]) for k in (who, "auto"))
+            ahead = ahead - gone
+            weights = np.ones(len(long)) / len(long)
+            if by_length:
+                weights = long / long.sum()
+            share, lead = (weights @ (part / long[:, None]) for part in (gone, ahead))
+            off = weights[:, None] * (ahead / long[:, None] - lead)
+            error = np.sqrt(len(long) / (len(long) - 1) * np.square(off).sum(0))
+            cells = [
+                f"{mean:.2f}" + ("" if who == "auto" else f" ({more:+.2f} ± {e:.2f})")
+                for mean, more, e in zip(share, lead, error, strict=True)
+            ]
+            print(f"| {who} ({len(there)}) | {' | '.join(cells)} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", help="of the files")
+    parser.add_argument("folder", nargs="?", default=SMALL, help="of the files")
     parser.add_argument("--build", action="store_true", help="build what is missing")
     parser.add_argument("--only", default="", help="problems whose id begins so")
     parser.add_argument("--without", action="store_true", help="leave out each device of auto, too")
