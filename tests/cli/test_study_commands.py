@@ -10,7 +10,7 @@ import mbtl
 from flat import created
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
-from mbtl.zoo.cli.play import _portfolio
+from mbtl.zoo.cli.play import _opened
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 1.0, 3.0): 3})
 
@@ -85,8 +85,9 @@ def test_a_damaged_study_gets_one_line_and_hides_no_other(mbtl_command, place):
 def test_trust_reaches_the_policies_that_are_played(tmp_path):
     portfolio = Portfolio(SPACE, (0,), np.ones((1, 3)), Bounds(0, 1), cmdp="ring-acc")
     folder = portfolio.save(tmp_path / "p", allow_missing=True)
-    assert _portfolio(str(folder), True).trust
-    assert not _portfolio(str(folder), False).trust
+    for trust in (True, False):
+        played, cmdp, _ = _opened(str(folder), None, None, trust)
+        assert (played.trust, cmdp.id) == (trust, "ring-acc")
 
 
 @pytest.mark.parametrize("console", ["cp437", "cp1252", "latin-1", "ascii"])

@@ -52,8 +52,8 @@ def test_ours_keep_their_ids(package):
     assert "hill-slope" not in cmdp_ids()
 
 
-def test_play_says_whose_it_is(package):
-    with pytest.raises(InvalidInput, match="'hill-slope' of the package 'hills-of-others'"):
+def test_play_finds_it_and_says_what_it_lacks(package):
+    with pytest.raises(InvalidInput, match="'hill-slope' is made of functions"):
         play("hill-slope")
 
 
