@@ -7,7 +7,8 @@ of a policy after --steps in one context; and training steps per second of proce
 and all else included, of one context and of --contexts at once. The peer is Brax's own PPO with the
 same copies, rollouts, minibatches, epochs and networks; gymnax has no trainer, so its peer is the
 bare stepping of as many copies as one policy has, with random actions and its own auto-reset.
-Needs gymnax, brax and playground; what is missing is left out.
+Needs gymnax, brax and playground; what is missing is left out. Brax 0.14.2 calls
+`jax.device_put_replicated`, which jax 0.10 has removed, so its PPO is lent one here.
 """
 
 from __future__ import annotations
@@ -92,8 +93,14 @@ def our_rate(problem: Any, contexts: int, seconds: float) -> float:
 
 def brax_rate(env: Any, horizon: int, steps: int) -> float:
     """Training steps per second of Brax's PPO after its first, compiling epoch."""
+    import jax
     from brax.training.agents.ppo import networks, train
 
+    def replicated(tree: Any, devices: Any) -> Any:
+        return jax.tree.map(lambda x: jax.numpy.stack([x] * len(devices)), tree)
+
+    if not hasattr(jax, "device_put_replicated"):
+        jax.device_put_replicated = replicated
     wrapped = {}
     if not hasattr(env, "sys"):
         from mujoco_playground import wrapper
@@ -172,17 +179,17 @@ def main() -> None:
         policy = trainer.train(home, 0).policy
         trained = trainer.evaluate(policy, home, [0]).mean()
         one, many = (our_rate(problem, k, args.seconds) for k in (1, args.contexts))
-        if package == "gymnax":
-            peer, whose = gymnax_rate(env, params, args.seconds), "gymnax stepping alone"
-        else:
-            peer = brax_rate(env, problem.horizon, max(args.steps, 64 * COPIES * ROLLOUT))
-            whose = "Brax's PPO"
         print(
             f"{name}: axes {acting}; return {random:.1f} at random, {trained:.1f} after "
             f"{args.steps:,} steps; steps/s {one:,.0f} in one context, {many:,.0f} in "
-            f"{args.contexts}, {whose} {peer:,.0f}: ratios {one / peer:.2f}, {many / peer:.2f}",
+            f"{args.contexts}",
             flush=True,
         )
+        if package == "gymnax":
+            peer, whose = gymnax_rate(env, params, args.seconds), "gymnax stepping alone"
+        else:
+            peer, whose = brax_rate(env, problem.horizon, args.steps), "Brax's PPO"
+        print(f"  {whose} {peer:,.0f}: ratios {one / peer:.2f}, {many / peer:.2f}", flush=True)
 
 
 if __name__ == "__main__":
