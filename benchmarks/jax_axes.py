@@ -1,6 +1,6 @@
 """Simulators in jax of others, their parameters as axes: what acts, what is learnt, how fast.
 
-    python benchmarks/jax_axes.py [--only NAME ...] [--steps 200000] [--contexts 8]
+    python benchmarks/jax_axes.py [--only NAME ...] [--steps 500000] [--contexts 8]
 
 Per environment: which axes change a seeded rollout (`mbtl check`); returns of random actions, and
 of a policy after --steps in one context; and training steps per second of processor time, learning
@@ -29,6 +29,7 @@ import rates
 import mbtl
 from mbtl.engine import jax_problem
 from mbtl.problems import check_cmdp
+from mbtl.trainers import reference_rows
 
 COPIES, ROLLOUT, MINIBATCH = 64, 16, 128
 RECIPE = {"n_envs": COPIES, "n_steps": ROLLOUT, "batch_size": MINIBATCH, "learning_rate": 1e-3}
@@ -154,7 +155,7 @@ def gymnax_rate(env: Any, params: Any, seconds: float) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=ENVIRONMENTS, default=list(ENVIRONMENTS))
-    parser.add_argument("--steps", type=int, default=200_000, help="of the training looked at")
+    parser.add_argument("--steps", type=int, default=500_000, help="of the training looked at")
     parser.add_argument("--contexts", type=int, default=8, help="trained at once")
     parser.add_argument("--seconds", type=float, default=10.0, help="per rate")
     args = parser.parse_args()
@@ -175,7 +176,7 @@ def main() -> None:
         checks = check_cmdp(problem, steps=50).checks
         acting = {c.name.split("'")[1]: c.outcome for c in checks if c.name.startswith("axis")}
         trainer, home = problem.trainer, [space.context(space.n // 2)]
-        random = trainer.reference_rows(home, [0])["random_actions"].mean()
+        random = reference_rows(trainer, home, [0])["random_actions"].mean()
         policy = trainer.train(home, 0).policy
         trained = trainer.evaluate(policy, home, [0]).mean()
         one, many = (our_rate(problem, k, args.seconds) for k in (1, args.contexts))

@@ -16,6 +16,7 @@ from mbtl.engine import Box, Discrete, jax_problem
 from mbtl.engine.traced import with_fields
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.problems import check_cmdp
+from mbtl.trainers import reference_rows
 
 HORIZON = 20
 FAST = {"hyperparameters": {"n_envs": 8, "n_steps": 20, "batch_size": 80, "n_epochs": 4}}
@@ -133,7 +134,7 @@ def test_check_finds_the_axis_that_changes_nothing():
 def test_training_on_one_context_and_on_all_raises_the_return():
     problem = boat(timesteps=16_000, show_context=True)
     trainer, contexts = problem.trainer, AXES.contexts
-    random = trainer.reference_rows(contexts, range(4))["random_actions"].mean(axis=1)
+    random = reference_rows(trainer, contexts, range(4))["random_actions"].mean(axis=1)
     one = trainer.train(contexts[:1], seed=0).policy
     every = trainer.train(contexts, seed=0).policy
     best = 3.0 * HORIZON
