@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple, cast
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
+from gymnasium import Env, spaces
 from jax.flatten_util import ravel_pytree
 from jax.tree_util import keystr, tree_flatten_with_path
 
@@ -61,8 +61,7 @@ def with_fields(params: Any, values: Mapping[str, Any]) -> Any:
         field, bracket, index = name.partition("[")
         if field not in leaves:
             known = few([*filter(None, leaves)], 9) or "none, see jax.tree_util.register_dataclass"
-            hint = f"jax knows {known}."
-            raise unknown_name("field of these parameters", field, leaves, hint=hint)
+            raise unknown_name("parameter field", field, leaves, hint=f"jax knows {known}.")
         old, places = jnp.asarray(leaves[field]), index.removesuffix("]").split(",")
         part = np.zeros(old.shape, bool)
         try:
@@ -211,8 +210,8 @@ class Simulated:
     def at(self, params: Values) -> Any:
         """The simulator's parameters in a context."""
         pairs = zip(self.axes, params.axes, strict=True)
-        context = {name: x.astype(int) if whole else x for (name, whole), x in pairs}
-        return self.apply(self.template, context)
+        there = {name: x.astype(int) if whole else x for (name, whole), x in pairs}
+        return self.apply(self.template, there)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,19 +244,18 @@ _start, _step, _observe = (
 )
 
 
-class OneSimulation(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
+class OneSimulation(Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
     """A world of one agent as a Gymnasium environment, with the episodes of its evaluations."""
 
     def __init__(self, world: Solo, params: Any) -> None:
         """`params` are of one context, leading axis."""
         self._world, self._params, action = world, params, world.action
-        width = world.n_features + params.visible.shape[1]
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (width,))
+        width = (world.n_features + params.visible.shape[1],)
+        self.observation_space = spaces.Box(-np.inf, np.inf, width)
         if isinstance(action, Discrete):
-            self.action_space = gymnasium.spaces.Discrete(action.n)
+            self.action_space = spaces.Discrete(action.n)
         else:
-            bounds = np.array([action.low, action.high], np.float32)
-            self.action_space = gymnasium.spaces.Box(*bounds)
+            self.action_space = spaces.Box(*np.array([action.low, action.high], np.float32))
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         """First observation."""
@@ -321,12 +319,12 @@ def _gymnax_step(env: Any, key: jax.Array, state: Any, action: jax.Array, params
     return obs, new, reward, done
 
 
-def _widest(spaces: Sequence[Any]) -> Discrete | Box:
+def _widest(theirs: Sequence[Any]) -> Discrete | Box:
     """Actions of gymnax in all contexts; the environment clips those of a box."""
-    if hasattr(spaces[0], "n"):
-        return Discrete(int(spaces[0].n))
-    low = np.min([np.broadcast_to(one.low, one.shape) for one in spaces], axis=0)
-    high = np.max([np.broadcast_to(one.high, one.shape) for one in spaces], axis=0)
+    if hasattr(theirs[0], "n"):
+        return Discrete(int(theirs[0].n))
+    low = np.min([np.broadcast_to(one.low, one.shape) for one in theirs], axis=0)
+    high = np.max([np.broadcast_to(one.high, one.shape) for one in theirs], axis=0)
     return Box(tuple(low.ravel().tolist()), tuple(high.ravel().tolist()))
 
 
