@@ -26,7 +26,7 @@ TOOL = [
 ]  # fmt: skip
 ENGINE = [
     "engine.elsewhere", "engine.scene", "engine.worlds", "engine.simulators", "engine.learners",
-    "engine.lazy", "engine.world_trainer",
+    "engine.lazy", "engine.world_trainer", "engine.traced",
 ]  # fmt: skip
 ZOO = [
     "zoo.worlds", "zoo.cmdps", "zoo.small", "zoo.benchmark", "zoo.reproduction", "zoo.cli",

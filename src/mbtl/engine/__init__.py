@@ -3,8 +3,9 @@
     worlds         what a world is, and what steps, ends and records one
     learners       PPO, A2C, DQN, TRPO, PaCo and MOORE over many contexts and seeds
     world_trainer  both as a trainer of a study
+    traced         simulators in jax of others as problems
 
-jax is started by `worlds` and `learners`, and not before one of their names is asked for.
+jax is started by `worlds`, `learners` and `traced`, and not before one of their names is asked for.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbtl.engine.simulators import SceneProblem
+    from mbtl.engine.traced import jax_problem
     from mbtl.engine.world_trainer import WorldTrainer
     from mbtl.engine.worlds import (
         Box,
@@ -38,17 +40,18 @@ __all__ = [
     "WorldTrainer",
     "context_of",
     "hosted",
+    "jax_problem",
     "stack_params",
 ]
 
-_HOMES = {"SceneProblem": "mbtl.engine.simulators", "WorldTrainer": "mbtl.engine.world_trainer"}
+_HOMES = {"SceneProblem": "simulators", "WorldTrainer": "world_trainer", "jax_problem": "traced"}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES.get(name, "mbtl.engine.worlds")), name)
+    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'worlds')}"), name)
 
 
 def __dir__() -> list[str]:

@@ -120,9 +120,10 @@ def _closed_up(
         at = order.reshape(*order.shape, *[1] * (whole.ndim - 2))
         return _cut(np.take_along_axis(whole, at, axis=1), width)
 
-    def parted(*leaves: jax.Array) -> list[NDArray[Any]]:  # (H x W, ...) each
-        wide = [np.asarray(x).reshape(len(alive), -1, *x.shape[1:]) for x in leaves]
-        return [x.reshape(-1, *x.shape[2:]) for x in chosen(np.concatenate(wide, axis=1))]
+    def parted(*leaves: jax.Array) -> list[NDArray[Any]]:  # (H x W, ...) each, or empty
+        wide = [np.asarray(x).reshape(len(alive), width, *x.shape[1:]) for x in leaves]
+        every = chosen(np.concatenate(wide, axis=1))
+        return [x.reshape(len(alive) * width, *x.shape[2:]) for x in every]
 
     each = np.where(alive, np.concatenate([own for own, _ in blocks], axis=1), -1)
     flat = [jax.tree.flatten(state) for _, state in blocks]
