@@ -541,6 +541,12 @@ class ContextSpace:
             )
         return found
 
+    @property
+    def middle(self) -> Context:
+        """The listed context that is nearest to the middle of the space."""
+        middle = (self.unit.min(axis=0) + self.unit.max(axis=0)) / 2.0
+        return self.context(int(((self.unit - middle) ** 2).sum(axis=1).argmin()))
+
     def between(self, count: int, seed: int) -> list[Context]:
         """`count` contexts drawn evenly from the axes, on the list or off it."""
         rng, found = np.random.default_rng(seed), dict[str, list[Value]]()

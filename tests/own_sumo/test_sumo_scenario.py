@@ -169,3 +169,10 @@ def test_a_network_without_lights_is_refused(own, tmp_path):
         sumo.from_sumocfg(
             "road", config, space_of("demand"), {"demand": sumo.Demand()}, timesteps=100
         )
+
+
+def test_a_speed_limit_is_a_factor_and_no_speed(own, opened):
+    env = opened(sumo.ScenarioEnv({"limit": 20.0}, scenario(own, "limit"), seconds=60))
+    with pytest.raises(InvalidInput, match=r"SpeedLimit takes a factor, got 20\.0"):
+        env.reset(seed=0)
+    env.close()

@@ -52,6 +52,8 @@ def test_one_of_several_contexts_is_a_set(study):
 def test_a_context_that_is_none_is_refused_before_anything_is_played(study):
     with pytest.raises(mbtl.MbtlError, match="not one of the 6 contexts"):
         study.adopt(None, {"x": 7.7})
+    with pytest.raises(mbtl.InvalidInput, match="load it first"):
+        study.adopt("mine.zip", {"x": 0.0})
     bare = mbtl.create_study(SPACE, budget=1)
     with pytest.raises(mbtl.InvalidInput, match="give trainer="):
         bare.adopt("1.0", {"x": 0.0})

@@ -1,5 +1,7 @@
 """What V is compared with, and what is measured beside it, in the same fresh episodes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -114,6 +116,14 @@ def test_baselines_and_metrics_are_kept_in_the_log_and_new_ones_are_played_later
         mbtl.load_study(tmp_path / "study.db", problem=cmdp).run(progress=False)
         assert again.refresh().seq == events + more
     assert [*again.state.fresh.baselines] == ["fixed time", "far"]
+
+
+def test_a_metric_that_no_episode_tells_is_named(capsys):
+    cmdp = dataclasses.replace(problem(), metrics={"troughput": "veh/h"})
+    study = mbtl.create_study(cmdp, budget=1, strategy="equidistant")
+    study.run()
+    assert "no episode told the metrics troughput" in capsys.readouterr().err
+    assert summarise_study(study).metrics == {}
 
 
 def test_the_best_of_several_baselines_counts():

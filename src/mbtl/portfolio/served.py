@@ -66,7 +66,7 @@ class Served:
         return self.bounds.normalise(np.array([one.predicted_return for one in self.choices]))
 
     @property
-    def error(self) -> float:
+    def off(self) -> float:
         """Root of the mean square of what was expected less what came: how well it interpolates."""
         return float(np.sqrt(np.square(self.expected - self.performances).mean()))
 
@@ -79,6 +79,6 @@ class Served:
         worst = self.space.describe(self.worst)
         return (
             f"Served({len(self.contexts)} contexts: V = {self.value:.4f} +- {self.margin:.4f}, "
-            f"expected {self.expected.mean():.4f}, error {self.error:.4f}; worst at {worst}, "
+            f"expected {self.expected.mean():.4f}, off by {self.off:.4f}; worst at {worst}, "
             f"{self.performances.min():.4f})"
         )

@@ -53,10 +53,12 @@ class Adapted:
     def explanation(self) -> str:
         """The outcome in a sentence."""
         was, now = (float(returns.mean()) for returns in (self.before, self.after))
-        verdict = "may be as good" if abs(self.lead) <= self.margin else "is worse"
-        verdict = "is better" if self.is_better else verdict
+        verdict = "Too few episodes to tell" if abs(self.lead) <= self.margin else "It is worse"
+        if (self.after == self.before).all():
+            verdict = "It behaves the same there"
+        verdict = "It is better" if self.is_better else verdict
         return (
-            f"The tuned policy {verdict}: it returned {now:.6g} there, policy "
+            f"{verdict}: the tuned policy returned {now:.6g} there, policy "
             f"{self.choice.policy + 1} {was:.6g}, a lead of {self.lead:.4f} +- {self.margin:.4f} "
             "in performance."
         )

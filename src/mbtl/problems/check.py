@@ -227,8 +227,7 @@ class Probe:
 
     def __post_init__(self) -> None:
         self._ends = {axis.name: _ends(self.space, axis.name) for axis in self.space.axes}
-        middle = self.space.context(_central(self.space))
-        self._base: Context = dict(middle if self.nominal is None else self.nominal)
+        self._base: Context = dict(self.space.middle if self.nominal is None else self.nominal)
         self.space.encode(self._base)
         self._actions: list[Any] = []
         self._first: Rollout | None = None  # of the base context, before any other was simulated
@@ -443,9 +442,3 @@ def _last_info(env: Any, steps: int, seed: int) -> Mapping[str, Any] | None:
 
 def _outer(values: Sequence[Value]) -> list[Value]:
     return list(dict.fromkeys((values[0], values[-1])))
-
-
-def _central(space: ContextSpace) -> int:
-    """Index of the context nearest to the middle of the space."""
-    middle = (space.unit.min(axis=0) + space.unit.max(axis=0)) / 2.0
-    return int(((space.unit - middle) ** 2).sum(axis=1).argmin())

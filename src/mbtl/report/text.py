@@ -29,7 +29,7 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     size = f"{budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.strategy}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for head in ("pick", "trained on", "V", "min"):
+    for head in ("pick", "trained on", "V", "minutes"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from logging import getLogger
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
@@ -224,6 +225,11 @@ class Study(AskTell):
         trainer = self.trainer if trainer is None else trainer
         if trainer is None:
             raise InvalidInput("a policy is evaluated by a trainer, got none; give trainer=...")
+        if isinstance(policy, Path) or (isinstance(policy, str) and policy.endswith(".zip")):
+            raise InvalidInput(
+                f"a policy is taken in as an object, got the path {str(policy)!r}; load it first, "
+                "e.g. stable_baselines3.PPO.load(path)"
+            )
         sources = sources_of(self.space, trained_on)
         self.equip(trainer)
         returns = trainer.evaluate(policy, self.space.contexts, self.evaluation_seeds())
@@ -578,7 +584,7 @@ def _report(
         plan = planned(baselines=baselines)
         assert plan is not None  # more baselines are more to do
         announce("on_report", plan)
-        _play(study, trainer, plan, baselines, timeout, stuck)
+        _play(study, trainer, plan, baselines, announce, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
@@ -638,6 +644,7 @@ def _play(
     trainer: Trainer,
     plan: ReportPlan,
     baselines: Mapping[str, Any],
+    announce: Callable[..., None],
     timeout: float | None = None,
     on_stuck: Callable[[], None] | None = None,
 ) -> None:
@@ -648,6 +655,7 @@ def _play(
         trainer: reads and evaluates the policies.
         plan: see `plan_of`.
         baselines: what is played beside them, by name.
+        announce: tells people.
         timeout: seconds for each policy; None: no limit.
         on_stuck: see `mbtl.study.time_limits.at_most`.
     """
@@ -681,6 +689,8 @@ def _play(
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
         metrics[0][:, targets[mine]] = means[:, mine]
+    if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:
+        announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
     compared = {name: np.full((n, episodes), np.nan) for name in baselines}
     for k, (name, (returns, means)) in enumerate(zip(baselines, others, strict=True)):
         compared[name][plan.contexts] = returns[:, :episodes]

@@ -28,7 +28,7 @@ def from_sumocfg(
     space: ContextSpace,
     changes: Mapping[str, Change],
     *,
-    lights: Sequence[str] = (),
+    lights: str | Sequence[str] = (),
     control: Callable[..., Any] = KeepOrGoOn,
     decision: float = 5.0,
     seconds: float | None = None,
@@ -53,6 +53,7 @@ def from_sumocfg(
         InvalidInput: a file cannot be read, or the network has no light.
     """
     scenario = Scenario.read(config, changes)
+    lights = [lights] if isinstance(lights, str) else lights
     chosen = partial(control, lights=tuple(lights)) if lights else control
     make_env = partial(
         ScenarioEnv, scenario=scenario, control=chosen, decision=decision, seconds=seconds

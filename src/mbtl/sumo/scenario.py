@@ -200,6 +200,10 @@ class Demand:
         files.options["scale"] = _text(float(files.options.get("scale", 1)) * float(value))
 
 
+_FASTEST = 100.0
+"""m/s that no road allows."""
+
+
 @dataclass(frozen=True)
 class SpeedLimit:
     """So many times the speed limit of all roads, and of straight ways across their junctions."""
@@ -208,6 +212,12 @@ class SpeedLimit:
         """See `Change`."""
         links = files.every("connection", "net-file")
         straight = {link.get("via") for link in links if link.get("dir") == "s"}
+        fastest = max(float(lane.get("speed", 0)) for lane in files.every("lane", "net-file"))
+        if fastest * float(value) > _FASTEST:
+            raise InvalidInput(
+                f"SpeedLimit takes a factor, got {value}, which makes {fastest:g} m/s "
+                f"{fastest * float(value):g} m/s; divide by the limit, or set speeds by Attribute"
+            )
         for edge in files.every("edge", "net-file"):
             for lane in edge.iter("lane"):
                 if edge.get("function") != "internal" or lane.get("id") in straight:

@@ -83,7 +83,7 @@ def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, t
     assert code == 0, err
     found = json.loads(out)
     assert found["context"] == {"pipe": "old", "steps": 8}
-    assert list(found["all"]) == ["choices at random", "full", "at random"]
+    assert list(found["all"]) == ["choices at random", "full"]  # nothing twice
     assert found["all"]["full"] == [pytest.approx(100.0 * (1.0 - 0.9))]  # 8 steps of 0.1 - 0.05
     assert (found["unit"], found["measures"]["full"]["water"]) == ("%", 40.0)
     with open("out/tank.csv", encoding="utf-8") as file:

@@ -43,7 +43,7 @@ def play(
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option(help="Context, NAME=VALUE; repeat for more. Default: the nominal one."),
+        typer.Option(help="Context, NAME=VALUE; repeat for more. Default: nominal, or the middle."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Episodes to play.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of the episodes.")] = 0,
@@ -78,7 +78,7 @@ def play(
     if film is not None:
         _check_film(film)
     portfolio, cmdp, made = _opened(target, problem, score, trust)
-    nominal = dict(cmdp.nominal or cmdp.space.context(cmdp.space.n // 2))
+    nominal = dict(cmdp.nominal or cmdp.space.middle)
     context = {**nominal, **context_of(at or [], cmdp.space)}
     nominal_part = {axis: context[axis] for axis in nominal}
     if not isinstance(cmdp.make_env, EnvFactory):  # which checks by itself
@@ -152,10 +152,11 @@ def _tell(
     out = printer()
     out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
     for name, take in takes.items():
-        of = "score" if name == first else f"{name}: score"
         values = " ".join(f"{score:.4g}" for score in take.scores)
-        rest = "".join(f"; {value:.4g} {what}" for value, what in beside[name].values())
-        said = f"{of}: {values}{'' if unit == 'return' else f' {unit}'}{rest}"
+        rest = "".join(
+            f"; {what} {value:.4g} {of}".rstrip() for what, (value, of) in beside[name].items()
+        )
+        said = f"{name}: score {values}{'' if unit == 'return' else f' {unit}'}{rest}"
         out.print(said, markup=False, highlight=False)
     for what, file in files.items():
         out.print(f"{what}: {file}", markup=False, highlight=False)
@@ -173,7 +174,8 @@ def _beside(
         yield REFERENCE_NAMES.get(way, way), ByItself(make(), way), actor
     for name, baseline in cmdp.baselines.items():
         if baseline == RANDOM_ACTIONS:
-            yield name, make(), random
+            if actor is not random:
+                yield name, make(), random
         elif not isinstance(baseline, str):  # a way is there already
             yield name, make(), actor_for(baseline)
 
