@@ -9,7 +9,7 @@ import pytest
 import mbtl
 from mbtl import sumo
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.sumo.scenario import Scenario
+from mbtl.sumo.scenario import Files, Scenario
 
 CHANGES = {
     "demand": (sumo.Demand(), 1.0, 2.0),
@@ -171,8 +171,7 @@ def test_a_network_without_lights_is_refused(own, tmp_path):
         )
 
 
-def test_a_speed_limit_is_a_factor_and_no_speed(own, opened):
-    env = opened(sumo.ScenarioEnv({"limit": 20.0}, scenario(own, "limit"), seconds=60))
+def test_a_speed_limit_is_a_factor_and_no_speed(own):
+    files = Files({"net-file": str(own.with_name("own.net.xml"))})
     with pytest.raises(InvalidInput, match=r"SpeedLimit takes a factor, got 20\.0"):
-        env.reset(seed=0)
-    env.close()
+        sumo.SpeedLimit().apply(files, 20.0)
