@@ -52,7 +52,7 @@ _SPENT, _FROM, _BRANCH, _SEED, _BEFORE = "spent", "from", "branch", "seed", "bef
 and the branch of the stage before; whose it is; and updates of what it was tuned from."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
-"""contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
+"""contexts -> (`mbtl.engine.World`, its parameters with one leading axis)."""
 
 
 @dataclass(frozen=True)

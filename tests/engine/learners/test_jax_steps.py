@@ -7,7 +7,7 @@ import pytest
 from poles import apart, same_policy
 
 import mbtl.engine.learners as engine
-from mbtl.engine import WorldTrainer
+from mbtl.engine import WorldTrainer, worlds
 from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds
 from mbtl.trainers import SB3Trainer
@@ -140,7 +140,7 @@ class _Silent:
     problem: object
 
     def __call__(self, contexts):
-        return engine.Solo(_Double()), self.problem(contexts)[1]
+        return worlds.Solo(_Double()), self.problem(contexts)[1]
 
 
 BY_EPISODES = {

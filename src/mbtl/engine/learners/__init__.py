@@ -34,32 +34,22 @@ from mbtl.engine.learners.recipes import (
     multitask_recipe,
 )
 from mbtl.engine.learners.saving import SavedTraining, taking_over
-from mbtl.engine.worlds.environments import Box, Discrete, Step
-from mbtl.engine.worlds.hosted import hosted
-from mbtl.engine.worlds.world import Solo, World, context_of, stack_params
 
 __all__ = [
     "MULTI_TASK",
     "A2CRecipe",
     "Actor",
     "Block",
-    "Box",
     "DQNRecipe",
-    "Discrete",
     "Growing",
     "MultiTaskRecipe",
     "PPORecipe",
     "SavedTraining",
-    "Solo",
-    "Step",
-    "World",
     "actor_of",
-    "context_of",
     "episodes_met",
     "evaluate",
     "export_policies",
     "from_arrays",
-    "hosted",
     "import_actor",
     "in_sets",
     "joined",
@@ -68,7 +58,6 @@ __all__ = [
     "on_cpu",
     "recipe_named",
     "reference_returns",
-    "stack_params",
     "stage",
     "start",
     "taken",
