@@ -527,25 +527,25 @@ class WorldTrainer:
     ) -> dict[str, Array]:
         """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
         world, params = self.problem(contexts)
-        each, way = episode_seeds(seeds, len(contexts), self.eval_episodes), policy
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         if not isinstance(policy, (str, MLPPolicy)):
             raise InvalidInput(
                 "worlds are played by policies of the engine and by ways that they name, got "
                 f"{type(policy).__name__}; give one of {self.ways(contexts)}"
             )
-        told = hasattr(world, "measures")
-        if not names or way == RANDOM_ACTIONS or not (told or hasattr(self.problem, "make_env")):
-            if isinstance(policy, str):
-                return {SCORE: engine.reference_returns(world, params, each, way)}
-            return {SCORE: self.evaluate(policy, contexts, seeds)}
-        if not told:
+        if (
+            names
+            and policy != RANDOM_ACTIONS
+            and not hasattr(world, "measures")
+            and hasattr(self.problem, "make_env")
+        ):
             return self._simulated(policy, contexts, each, names)
-        actor, acts = None, dict[str, Any](way=way)
-        if isinstance(policy, MLPPolicy):
-            actor = engine.import_actor([policy])
-            acts = {"activation": policy.activation, "how": self.how}
-        found = engine.measured(world, actor, params, each, **acts)
-        return {name: found[name] for name in (SCORE, *names) if name in found}
+        if isinstance(policy, str):
+            found = engine.measured(world, None, params, each, way=policy)
+        else:
+            acts: dict[str, Any] = {"activation": policy.activation, "how": self.how}
+            found = engine.measured(world, engine.import_actor([policy]), params, each, **acts)
+        return {name: found[name][0] for name in (SCORE, *names) if name in found}
 
     def _simulated(
         self,

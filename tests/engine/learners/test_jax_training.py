@@ -15,7 +15,6 @@ from poles import params_of
 import mbtl.engine.learners as engine
 from mbtl.engine import worlds
 from mbtl.engine.learners import blocks, networks
-from mbtl.engine.worlds import ends
 from mbtl.engine.worlds.environments import Box, Discrete
 from mbtl.engine.worlds.flags import settings
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
@@ -165,16 +164,6 @@ def test_the_size_of_blocks_does_not_change_returns(trained):
     np.testing.assert_array_equal(small[:, 0], small[:, 2])
     actors = engine.import_actor(engine.export_policies(env, training.best))
     np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds, rows=6))
-
-
-def test_episodes_that_end_make_room_and_change_nothing(trained, monkeypatch):
-    env, params, _, training = trained
-    seeds = np.arange(80).reshape(2, 40)
-    given = env, engine.actor_of(training.best), params, seeds
-    monkeypatch.setattr(worlds.Solo, "ends_early", True)
-    closed_up = engine.evaluate(*given, rows=48)
-    monkeypatch.setattr(ends, "PARTS", 1)
-    np.testing.assert_array_equal(closed_up, engine.evaluate(*given, rows=48))
 
 
 def test_a_return_is_the_same_in_any_company_and_every_context_has_luck_of_its_own(trained):

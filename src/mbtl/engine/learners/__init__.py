@@ -19,7 +19,6 @@ from mbtl.engine.learners.evaluation import (
     joined,
     measured,
     on_cpu,
-    reference_returns,
     taken,
 )
 from mbtl.engine.learners.export import export_policies, taught
@@ -57,7 +56,6 @@ __all__ = [
     "multitask_recipe",
     "on_cpu",
     "recipe_named",
-    "reference_returns",
     "stage",
     "start",
     "taken",

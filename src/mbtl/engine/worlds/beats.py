@@ -175,13 +175,11 @@ def played(
     state: Tree,
     params: Tree,
     told: Callable[[Tree, jax.Array], Any],
-    first: Any = 0,
 ) -> Tree:
     """The state after the longest episode, of which nothing is kept.
 
     It ends as soon as all episodes have, or after the last beat. The numbers of `length` may be
-    traced. `told`: state, number of the decision -> actions, or None where nobody advises; `first`
-    is the number of the next one, where there are no beats.
+    traced. `told`: state, number of the decision -> actions, or None where nobody advises.
     """
     if isinstance(length, Beats):
         return _beaten(cast(Holding, twin), length, state, params, told)
@@ -195,7 +193,7 @@ def played(
         moved = twin.drive(state, params) if action is None else twin.step(state, action, params)
         return number + 1, moved.state
 
-    return jax.lax.while_loop(going_on, one, (jnp.int32(first), state))[1]
+    return jax.lax.while_loop(going_on, one, (jnp.int32(0), state))[1]
 
 
 def _beaten(

@@ -227,14 +227,6 @@ class Solo:
         return self.env.params
 
     @property
-    def ends_early(self) -> bool:
-        """Whether many episodes are much shorter than others.
-
-        Not where the environment says how long they are (`lasts`): those are played in one part.
-        """
-        return not hasattr(self.env, "lasts")
-
-    @property
     def drives(self) -> bool:
         """Whether the environment has an action that is none, `idle`."""
         return hasattr(self.env, "idle")
