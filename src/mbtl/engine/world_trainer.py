@@ -488,29 +488,32 @@ class WorldTrainer:
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
-        returns = self.evaluate(policy, contexts, seeds)
-        steps = _known_steps(self.problem, contexts, returns)
-        if steps is None:
-            steps = self.evaluate_many([policy], contexts, seeds, counting=True)[0]
-        return returns, steps
+        found = self._measured([policy], contexts, seeds)
+        returns = checked_returns(found["score"][0], len(contexts))
+        if "steps" in found:
+            return returns, found["steps"][0]
+        return returns, _each_of(self.problem, contexts)[:, None] + np.zeros_like(returns)
 
     def evaluate_many(
         self,
         policies: Sequence[MLPPolicy],
         contexts: Sequence[Context],
         seeds: Sequence[int] | int,
-        *,
-        counting: bool = False,
     ) -> Array:
-        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`.
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        return self._measured(policies, contexts, seeds)["score"]
 
-        With `counting` a return is a number of steps.
-        """
+    def _measured(
+        self,
+        policies: Sequence[MLPPolicy],
+        contexts: Sequence[Context],
+        seeds: Sequence[int] | int,
+    ) -> dict[str, Array]:
+        """The same for all that the world measures, by name."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
-        world = replace(world, counts=True) if counting else world
-        actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        return engine.evaluate(world, actor, params, each, activation=activation, how=self.how)
+        actor, acts = engine.import_actor(list(policies)), policies[0].activation
+        return engine.measured(world, actor, params, each, activation=acts, how=self.how)
 
     def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
         """See `mbtl.trainers.MeasuringTrainer`."""
@@ -543,8 +546,7 @@ class WorldTrainer:
         if isinstance(policy, str):
             found = engine.measured(world, None, params, each, way=policy)
         else:
-            acts: dict[str, Any] = {"activation": policy.activation, "how": self.how}
-            found = engine.measured(world, engine.import_actor([policy]), params, each, **acts)
+            found = self._measured([policy], contexts, seeds)
         return {name: found[name][0] for name in (SCORE, *names) if name in found}
 
     def _simulated(
@@ -607,21 +609,6 @@ def _decisions_of(world: Any, params: Any) -> int:
 def _each_of(problem: Problem, contexts: Sequence[Context]) -> Any:
     """(T,) `_decisions_of` each context."""
     return np.array([_decisions_of(*problem([one])) for one in contexts])
-
-
-def _known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -> Array | None:
-    """(T, E) steps of the episodes that had these returns; None: they must be counted.
-
-    A world of several agents says how long its episodes are.
-    """
-    world, _ = problem(list(contexts))
-    if not hasattr(world, "env"):
-        steps: Array = _each_of(problem, contexts)[:, None] + np.zeros_like(returns)
-        return steps
-    lasts = getattr(world.env, "lasts", None)
-    if lasts == "return":
-        return returns.copy()
-    return np.full(returns.shape, float(world.env.horizon)) if lasts == "horizon" else None
 
 
 def _saved(world: Any, state: Path | None) -> Any:

@@ -14,7 +14,7 @@ from poles import params_of
 
 import mbtl.engine.learners as engine
 from mbtl.engine import worlds
-from mbtl.engine.learners import blocks, networks
+from mbtl.engine.learners import blocks, evaluation, networks
 from mbtl.engine.worlds.environments import Box, Discrete
 from mbtl.engine.worlds.flags import settings
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
@@ -155,15 +155,17 @@ def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
                 assert returns[p, c, e] == pytest.approx(total, rel=0.02, abs=1.0)
 
 
-def test_the_size_of_blocks_does_not_change_returns(trained):
+def test_the_size_of_blocks_does_not_change_returns(trained, monkeypatch):
     env, params, _, training = trained
     seeds, actor = [[0, 1, 2], [3, 4, 5], [0, 1, 2]], engine.actor_of(training.best)
     params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
-    small = engine.evaluate(env, actor, params, seeds, rows=6)
-    np.testing.assert_allclose(small, engine.evaluate(env, actor, params, seeds), rtol=1e-3)
+    whole = engine.evaluate(env, actor, params, seeds)
+    monkeypatch.setattr(evaluation, "CPU_ROWS", 6)
+    small = engine.evaluate(env, actor, params, seeds)
+    np.testing.assert_allclose(small, whole, rtol=1e-3)
     np.testing.assert_array_equal(small[:, 0], small[:, 2])
     actors = engine.import_actor(engine.export_policies(env, training.best))
-    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds, rows=6))
+    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds))
 
 
 def test_a_return_is_the_same_in_any_company_and_every_context_has_luck_of_its_own(trained):

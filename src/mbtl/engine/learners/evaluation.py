@@ -78,11 +78,9 @@ def evaluate(
     *,
     activation: Activation = "tanh",
     how: Acting = "mean",
-    rows: int | None = None,
 ) -> Array:
     """(P, C, E) scores of every policy on every context, in raw units; see `measured`."""
-    acts: dict[str, Any] = {"activation": activation, "how": how}
-    return measured(world, actor, params, seeds, **acts, rows=rows)["score"]
+    return measured(world, actor, params, seeds, activation=activation, how=how)["score"]
 
 
 def measured(
@@ -94,7 +92,6 @@ def measured(
     activation: Activation = "tanh",
     how: Acting = "mean",
     way: str = "",
-    rows: int | None = None,
 ) -> dict[str, Array]:
     """All that the world measures of an episode, by name; its "score" among it.
 
@@ -106,7 +103,6 @@ def measured(
         activation: between the layers of the actors.
         how: actions follow from a policy.
         way: without one: "random_actions", "unguided", or one of the world's `ways`.
-        rows: simulations at a time; None chooses for world and device.
 
     Returns:
         (P, C, E) each.
@@ -134,11 +130,10 @@ def measured(
     own, actor = np.repeat(own, shares.shape[1], axis=0), actor._replace(critic=())
     shape = n_policies, shares.size * n_episodes
     if isinstance(world, Solo):
-        rows = rows or (CPU_ROWS if on_cpu() else DEVICE_ROWS)
-        parts = _blocks(world, activation, how, actor, own, params, rows)
+        parts = _blocks(world, activation, how, actor, own, params)
     elif most or on_cpu():
-        rows = rows or most or n_policies * n_episodes
-        parts = _context_by_context(world, activation, how, actor, own, params, rows)
+        height = n_policies if most is None else min(n_policies, most // n_episodes)
+        parts = _context_by_context(world, activation, how, actor, own, params, height)
     else:
         parts, shape = _pairs(world, activation, how, actor, own, params), (-1, n_episodes)
     found: dict[str, Array] = {}
@@ -163,7 +158,6 @@ def _blocks(
     actor: Actor,
     seeds: NDArray[np.uint32],
     params: Tree,
-    rows: int,
 ) -> Iterator[Part]:
     """Of (P, C x E) episodes, so many of all contexts at a time.
 
@@ -173,6 +167,7 @@ def _blocks(
     """
     drawn, count, n_episodes = world.draws(seeds), seeds.size, seeds.shape[1]
     drawn, seeds = drawn.reshape(count, *drawn.shape[2:]), seeds.reshape(count)
+    rows = CPU_ROWS if on_cpu() else DEVICE_ROWS
     most = min(count, rows)
     wanted = max(most // _SHARE, -(-count // _BLOCKS))
     width, height = min(most, -(-wanted // _LANES) * _LANES), max(1, rows // most)
@@ -194,11 +189,10 @@ def _context_by_context(
     actor: Actor,
     seeds: NDArray[np.uint32],
     params: Tree,
-    rows: int,
+    height: int,
 ) -> Iterator[Part]:
-    """The same in worlds where all simulations of a batch may decide something together."""
+    """The same, so many policies at a time: all of a batch may decide something together."""
     n_policies, n_episodes = len(actor.log_std), seeds.shape[1]
-    height = max(1, min(n_policies, rows // min(n_episodes, rows)))
     for p in range(0, n_policies, height):
         some = _take(actor, p, height, n_policies)
         for c, own in enumerate(seeds):

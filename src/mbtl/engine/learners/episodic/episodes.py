@@ -22,7 +22,7 @@ from mbtl.engine.learners.recipes import Activation
 from mbtl.engine.worlds import beats, random
 from mbtl.engine.worlds.environments import Beats, Discrete, Length, Tree
 from mbtl.engine.worlds.packing import Agents, chunk_size, most_rows
-from mbtl.engine.worlds.world import Crowd, World
+from mbtl.engine.worlds.world import Crowd, Solo, World
 from mbtl.portfolio import BoxHead, MLPPolicy
 
 Acting = Literal["sampled", "mean", "random", "none"]
@@ -222,6 +222,8 @@ def measures(
     state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
     end = beats.played(twin, decisions, state, params, told)
     found = twin.measures(end) if hasattr(twin, "measures") else {"score": twin.score(end)}
+    if isinstance(twin, Solo):
+        found["steps"] = end.steps
     return {name: each.reshape(shape) for name, each in found.items()}
 
 
