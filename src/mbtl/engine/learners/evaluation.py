@@ -33,7 +33,7 @@ from mbtl.score import RANDOM_ACTIONS
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
 
-_SHARE, _BLOCKS, _LANES = 3, 8, 16
+_SHARE, _LANES = 3, 16
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
@@ -161,17 +161,15 @@ def _blocks(
 ) -> Iterator[Part]:
     """Of (P, C x E) episodes, so many of all contexts at a time.
 
-    A block has a third of the episodes that it may have, or an eighth of all if that is more, so
-    that few wait for the longest; a multiple of what a processor computes at once, so that no place
-    in it is computed otherwise.
+    A block has a third of the episodes that it may have, so that few wait for the longest; a
+    multiple of what a processor computes at once, so that no place in it is computed otherwise.
     """
     drawn, count, n_episodes = world.draws(seeds), seeds.size, seeds.shape[1]
     drawn, seeds = drawn.reshape(count, *drawn.shape[2:]), seeds.reshape(count)
     rows = CPU_ROWS if on_cpu() else DEVICE_ROWS
     most = min(count, rows)
-    wanted = max(most // _SHARE, -(-count // _BLOCKS))
-    width, height = min(most, -(-wanted // _LANES) * _LANES), max(1, rows // most)
-    height, decisions = min(len(actor.log_std), height), world.decisions(params)
+    width = min(most, -(-most // (_SHARE * _LANES)) * _LANES)
+    height, decisions = min(len(actor.log_std), rows // most), world.decisions(params)
     for p in range(0, len(actor.log_std), height):
         some = _take(actor, p, height, len(actor.log_std))
         for first in range(0, count, width):
