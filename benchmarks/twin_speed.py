@@ -70,11 +70,11 @@ def run(checkout: Path, args: argparse.Namespace) -> dict[str, Any]:
     options = [
         f"--{name}={getattr(args, name)}" for name in ("cmdp", "contexts", "episodes", "every")
     ]
-    environ = {**os.environ, "PYTHONPATH": str(checkout / "src"), "MBTL_COMPILATION_CACHE": "off"}
+    ours = {"PYTHONPATH": str(checkout / "src"), "JAX_ENABLE_COMPILATION_CACHE": "false"}
     note(f"{checkout} ...")
     done = subprocess.run(
         [sys.executable, __file__, "--alone", *options],
-        env=environ, check=True, stdout=subprocess.PIPE, text=True,
+        env={**os.environ, **ours}, check=True, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found

@@ -58,7 +58,7 @@ def sb3_model(seed: int) -> Any:
 
 def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
     """Of n walkers in jax: microseconds of processor time of a step, and seconds of compiling."""
-    os.environ.update(NPROC="1", MBTL_COMPILATION_CACHE="off")
+    os.environ.update(NPROC="1", JAX_ENABLE_COMPILATION_CACHE="false")
     import mbtl.engine.worlds as worlds
     from mbtl.zoo.worlds.walker import BipedalWalker, WalkerParams
 

@@ -62,14 +62,15 @@ def sb3_curve(algorithm: str, name: str, every: int, seed: int) -> list[float]:
 def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
     """(seeds, checkpoints) mean returns."""
     import mbtl.engine.learners as engine
+    from mbtl.engine import worlds
     from mbtl.zoo.worlds import CartPole, Pendulum
 
     module, gym_class = GYM[name]
-    env = engine.Solo({"cartpole": CartPole, "pendulum": Pendulum}[name]())
+    env = worlds.Solo({"cartpole": CartPole, "pendulum": Pendulum}[name]())
     there = gym_class(CONTEXT[name])
     constants = [module.derive(there.features)]
-    one = engine.stack_params(env, constants, [there.visible])
-    params = engine.stack_params(env, constants * seeds, [there.visible] * seeds)
+    one = worlds.stack_params(env, constants, [there.visible])
+    params = worlds.stack_params(env, constants * seeds, [there.visible] * seeds)
     curves = []
     recipe = engine.recipe_named(algorithm, "sb3")
 

@@ -70,14 +70,9 @@ def test_blocks_do_not_change_the_result(monkeypatch):
     assert gain(upper, best, 0.2, where) == pytest.approx(whole, abs=1e-15)
 
 
-def test_misfit_shapes_and_negative_theta_are_refused():
-    for words, wrong in (
-        ("theta", ([1] * 3, [0] * 3, -0.1)),
-        ("upper", ([1] * 2, [0] * 3, 0.1)),
-        ("best", ([1] * 3, [0] * 2, 0.1)),
-    ):
-        with pytest.raises(InvalidInput, match=words):
-            gain(*wrong)
+def test_a_negative_theta_is_refused():
+    with pytest.raises(InvalidInput, match=r"theta must be finite and >= 0, got -0.1"):
+        gain([1] * 3, [0] * 3, -0.1)
 
 
 def test_the_argmax_is_the_lowest_of_equals_among_what_is_open():

@@ -25,7 +25,7 @@ TOOL = [
     "trainers", "study", "problems", "sumo", "plot", "report", "testing", "cli",
 ]  # fmt: skip
 ENGINE = [
-    "engine.elsewhere", "engine.scene", "engine.worlds", "engine.simulators", "engine.learners",
+    "engine.scene", "engine.worlds", "engine.simulators", "engine.learners",
     "engine.lazy", "engine.world_trainer", "engine.traced",
 ]  # fmt: skip
 ZOO = [
@@ -128,7 +128,7 @@ NOT_PUBLIC = {
     ),
     "processes and threads are counted and ended by one rule": (
         "processes.native_threads processes.threads_for processes.usable_cores "
-        "processes.separate_workers"
+        "processes.separate_workers processes.SeparateWorkers"
     ),
     "the provenance of matrices compares settings and names the version": (
         "settings.first_difference version.__version__"

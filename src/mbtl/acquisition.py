@@ -55,9 +55,8 @@ def optimistic_gain(
         (M,) gain in units of performance; 0 where no target would improve.
 
     Raises:
-        InvalidInput: theta < 0, or shapes that do not fit.
+        InvalidInput: theta is negative or not finite.
     """
-    _check_shapes(candidates, targets, best, weights, theta, upper=upper)
 
     def block(rows: slice, gap: Array) -> Array:
         gain = np.subtract(upper[rows, None], gap, out=gap)  # in place: memory traffic is the cost
@@ -88,9 +87,8 @@ def expected_gain(
         (M,) expected gain in units of performance.
 
     Raises:
-        InvalidInput: theta < 0, or shapes that do not fit.
+        InvalidInput: theta is negative or not finite.
     """
-    _check_shapes(candidates, targets, best, weights, theta, mean=mean, std=std)
     scale = np.maximum(std, 1e-300)
 
     def block(rows: slice, gap: Array) -> Array:
@@ -137,6 +135,8 @@ def _blocked(
     """Run `block(rows, gap)` over blocks of candidates; gap is (rows, N)."""
     from scipy.spatial.distance import cdist  # kept out of `import mbtl`
 
+    if not (np.isfinite(theta) and theta >= 0):
+        raise InvalidInput(f"theta must be finite and >= 0, got {theta!r}")
     out = np.empty(len(candidates))
     size = max(entries // max(len(targets), 1), 1)
     sources, ends = theta * candidates, theta * targets  # distances come scaled
@@ -144,30 +144,6 @@ def _blocked(
         rows = slice(start, start + size)
         out[rows] = block(rows, cdist(sources[rows], ends))
     return out
-
-
-def _check_shapes(
-    candidates: Array,
-    targets: Array,
-    best: Array,
-    weights: Array,
-    theta: float,
-    **per_candidate: Array,
-) -> None:
-    """Raise `InvalidInput` unless the arrays fit together and theta >= 0."""
-    m, n = len(candidates), len(targets)
-    if not (np.isfinite(theta) and theta >= 0):
-        raise InvalidInput(f"theta must be finite and >= 0, got {theta!r}")
-    if candidates.ndim != 2 or targets.ndim != 2 or candidates.shape[1] != targets.shape[1]:
-        raise InvalidInput(
-            f"candidates and targets must be (M, D) and (N, D), got {candidates.shape}, "
-            f"{targets.shape}"
-        )
-    if best.shape != (n,) or weights.shape != (n,):
-        raise InvalidInput(f"best and weights must be ({n},), got {best.shape} and {weights.shape}")
-    for name, array in per_candidate.items():
-        if array.shape != (m,):
-            raise InvalidInput(f"{name} must be ({m},), got {array.shape}")
 
 
 # ---- of whole rows, under a model of transfer ---------------------------------------------------

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from artifact_stores import ArtifactStoreContract
 from line_problem import SPACE, TRAINER, evaluate, load, save, train
 
 import mbtl
@@ -13,7 +14,6 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, database
 from mbtl.study.artifacts import FolderStore, RemoteStore, policy_store
-from mbtl.testing.artifacts import ArtifactStoreContract
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
 

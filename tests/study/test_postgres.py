@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import sqlalchemy
+from event_logs import EventLogContract
 from line_problem import line
 
 import mbtl
@@ -16,7 +17,6 @@ from mbtl.errors import StorageError, Unreachable
 from mbtl.study import SqlLog, StudyFinished, study_names
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict
-from mbtl.testing.storage import EventLogContract
 
 SPACE = line(100)
 

@@ -5,6 +5,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+from event_logs import EventLogContract
 from line_problem import TRAINER, line
 
 import mbtl
@@ -12,7 +13,6 @@ from flat import created
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import Event
 from mbtl.study.storage import MemoryLog, SqlLog, study_names
-from mbtl.testing.storage import EventLogContract
 
 SPACE = line(5)
 

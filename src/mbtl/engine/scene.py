@@ -6,6 +6,7 @@ agents come and go. What an episode is worth is as in `mbtl.envs.rollout`.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -105,3 +106,22 @@ class EnvScene:
                 obs[k] = seen[agent]
         acting = np.array([agent is not None for agent in self._present])
         return obs, acting, not agents, score
+
+
+# ---- in the process ------------------------------------------------------------------------------
+
+_served: EnvScene | None = None
+
+
+def ask(scene: bytes, method: str, *given: Any) -> Any:
+    """What a method of this process's scene gives; the scene is made for the first question.
+
+    Args:
+        scene: the pickled function that makes it, the same for every question.
+        method: name.
+        given: to the method.
+    """
+    global _served
+    if _served is None:
+        _served = pickle.loads(scene)()
+    return getattr(_served, method)(*given)

@@ -52,7 +52,7 @@ _SPENT, _FROM, _BRANCH, _SEED, _BEFORE = "spent", "from", "branch", "seed", "bef
 and the branch of the stage before; whose it is; and updates of what it was tuned from."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
-"""contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
+"""contexts -> (`mbtl.engine.World`, its parameters with one leading axis)."""
 
 
 @dataclass(frozen=True)
@@ -488,29 +488,32 @@ class WorldTrainer:
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
-        returns = self.evaluate(policy, contexts, seeds)
-        steps = _known_steps(self.problem, contexts, returns)
-        if steps is None:
-            steps = self.evaluate_many([policy], contexts, seeds, counting=True)[0]
-        return returns, steps
+        found = self._measured([policy], contexts, seeds)
+        returns = checked_returns(found["score"][0], len(contexts))
+        if "steps" in found:
+            return returns, found["steps"][0]
+        return returns, _each_of(self.problem, contexts)[:, None] + np.zeros_like(returns)
 
     def evaluate_many(
         self,
         policies: Sequence[MLPPolicy],
         contexts: Sequence[Context],
         seeds: Sequence[int] | int,
-        *,
-        counting: bool = False,
     ) -> Array:
-        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`.
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        return self._measured(policies, contexts, seeds)["score"]
 
-        With `counting` a return is a number of steps.
-        """
+    def _measured(
+        self,
+        policies: Sequence[MLPPolicy],
+        contexts: Sequence[Context],
+        seeds: Sequence[int] | int,
+    ) -> dict[str, Array]:
+        """The same for all that the world measures, by name."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
-        world = replace(world, counts=True) if counting else world
-        actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        return engine.evaluate(world, actor, params, each, activation=activation, how=self.how)
+        actor, acts = engine.import_actor(list(policies)), policies[0].activation
+        return engine.measured(world, actor, params, each, activation=acts, how=self.how)
 
     def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
         """See `mbtl.trainers.MeasuringTrainer`."""
@@ -527,25 +530,24 @@ class WorldTrainer:
     ) -> dict[str, Array]:
         """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
         world, params = self.problem(contexts)
-        each, way = episode_seeds(seeds, len(contexts), self.eval_episodes), policy
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         if not isinstance(policy, (str, MLPPolicy)):
             raise InvalidInput(
                 "worlds are played by policies of the engine and by ways that they name, got "
                 f"{type(policy).__name__}; give one of {self.ways(contexts)}"
             )
-        told = hasattr(world, "measures")
-        if not names or way == RANDOM_ACTIONS or not (told or hasattr(self.problem, "make_env")):
-            if isinstance(policy, str):
-                return {SCORE: engine.reference_returns(world, params, each, way)}
-            return {SCORE: self.evaluate(policy, contexts, seeds)}
-        if not told:
+        if (
+            names
+            and policy != RANDOM_ACTIONS
+            and not hasattr(world, "measures")
+            and hasattr(self.problem, "make_env")
+        ):
             return self._simulated(policy, contexts, each, names)
-        actor, acts = None, dict[str, Any](way=way)
-        if isinstance(policy, MLPPolicy):
-            actor = engine.import_actor([policy])
-            acts = {"activation": policy.activation, "how": self.how}
-        found = engine.measured(world, actor, params, each, **acts)
-        return {name: found[name] for name in (SCORE, *names) if name in found}
+        if isinstance(policy, str):
+            found = engine.measured(world, None, params, each, way=policy)
+        else:
+            found = self._measured([policy], contexts, seeds)
+        return {name: found[name][0] for name in (SCORE, *names) if name in found}
 
     def _simulated(
         self,
@@ -607,21 +609,6 @@ def _decisions_of(world: Any, params: Any) -> int:
 def _each_of(problem: Problem, contexts: Sequence[Context]) -> Any:
     """(T,) `_decisions_of` each context."""
     return np.array([_decisions_of(*problem([one])) for one in contexts])
-
-
-def _known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -> Array | None:
-    """(T, E) steps of the episodes that had these returns; None: they must be counted.
-
-    A world of several agents says how long its episodes are.
-    """
-    world, _ = problem(list(contexts))
-    if not hasattr(world, "env"):
-        steps: Array = _each_of(problem, contexts)[:, None] + np.zeros_like(returns)
-        return steps
-    lasts = getattr(world.env, "lasts", None)
-    if lasts == "return":
-        return returns.copy()
-    return np.full(returns.shape, float(world.env.horizon)) if lasts == "horizon" else None
 
 
 def _saved(world: Any, state: Path | None) -> Any:

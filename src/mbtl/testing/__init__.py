@@ -1,1 +1,1 @@
-"""Contract suites that a new selector, storage or CMDP joins with one line. They need pytest."""
+"""Contract suites that a new selector or CMDP joins with one line. They need pytest."""

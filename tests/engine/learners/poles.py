@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.zoo.cmdps import cartpole
 
 
@@ -11,7 +11,7 @@ def params_of(env, lengths):
     """Parameters of a CartPole with the axes of `lengths`, (P,) or (P, N)."""
     flat = [cartpole.CartPole({"length": length}) for length in np.ravel(lengths)]
     constants = [cartpole.derive(one.features) for one in flat]
-    stacked = engine.stack_params(env, constants, [one.visible for one in flat])
+    stacked = worlds.stack_params(env, constants, [one.visible for one in flat])
     return jax.tree.map(lambda x: x.reshape(*np.shape(lengths), *x.shape[1:]), stacked)
 
 

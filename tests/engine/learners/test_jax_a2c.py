@@ -10,12 +10,13 @@ import pytest
 from poles import params_of, single
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import a2c, rollout
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole
 
-CARTPOLE = engine.Solo(CartPole())
+CARTPOLE = worlds.Solo(CartPole())
 FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
 PLAY, LEARN = (jax.jit(f, static_argnums=(0, 1)) for f in (rollout.play, a2c.learn))
 
@@ -53,7 +54,7 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
     peer = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    env = engine.Solo(CartPole(horizon=9, time_limit=time_limit))
+    env = worlds.Solo(CartPole(horizon=9, time_limit=time_limit))
     recipe = engine.A2CRecipe(n_envs=2, n_steps=24, gae_lambda=0.9, entropy_coef=0.01)
     state, params = single(a2c, env, recipe)
     _, noise = rollout.draw(env, state.key, (24, 2))

@@ -10,6 +10,7 @@ import pytest
 from poles import assert_same, first, params_of, same, single
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import dqn, networks
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.errors import InvalidInput
@@ -21,8 +22,8 @@ TINY = engine.DQNRecipe(
     n_envs=64, train_freq=4, batch_size=16, buffer_size=512, learning_starts=256, target_every=512,
     exploration_fraction=0.5, learning_rate=1e-3, hidden=(8,),
 )  # fmt: skip
-ENV = engine.Solo(CartPole(horizon=7))  # episodes are cut off
-CARTPOLE = engine.Solo(CartPole())
+ENV = worlds.Solo(CartPole(horizon=7))  # episodes are cut off
+CARTPOLE = worlds.Solo(CartPole())
 FAST = replace(  # compiled once, with P = 2; for fewer steps than the recipe is for
     engine.recipe_named("DQN", "fast"), batch_size=64, gradient_steps=4, learning_rate=1e-3,
     target_every=512, exploration_fraction=0.2,
@@ -206,7 +207,7 @@ def test_bad_recipes_and_continuous_actions_are_refused():
         replace(TINY, buffer_size=600)
     with pytest.raises(InvalidInput, match="target_every must be >= 1, got 0"):
         replace(TINY, target_every=0)
-    env = engine.Solo(Pendulum())
-    params = engine.stack_params(env, [dict.fromkeys(env.params._fields[:-1], 1.0)])
+    env = worlds.Solo(Pendulum())
+    params = worlds.stack_params(env, [dict.fromkeys(env.params._fields[:-1], 1.0)])
     with pytest.raises(InvalidInput, match="DQN must have discrete actions"):
         engine.start(env, TINY, [0], params)

@@ -11,6 +11,7 @@ import pytest
 from poles import assert_same, first
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.recipes import RECIPES as BY_COPIES
@@ -19,7 +20,7 @@ from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 from mbtl.zoo.worlds import CartPole
 
-WORLD = engine.Solo(CartPole(horizon=12))
+WORLD = worlds.Solo(CartPole(horizon=12))
 OBSERVATIONS = np.random.default_rng(0).normal(0.3, [2.0, 3.0, 0.2, 3.0, 1.0], (40, 5))
 
 BY_STEPS = {"n_envs": 2, "n_steps": 32, "batch_size": 32, "hidden": (8,)}

@@ -8,7 +8,7 @@ pytest.importorskip("pettingzoo", reason="the traffic extra is not installed")
 import jax
 import jax.numpy as jnp
 
-import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.episodic.episodes import Actor, record
 from mbtl.engine.learners.export import lawful
@@ -93,7 +93,7 @@ def test_a_lesson_is_part_of_the_recipe_and_no_part_of_older_ones(cmdp):
 
 
 def test_deviations_from_the_mean_last_as_many_decisions_as_they_are_held():
-    world = engine.Solo(Pendulum(horizon=12))
+    world = worlds.Solo(Pendulum(horizon=12))
     weights = networks.stack([networks.init_weights(0, 3, world.action, (4,))])
     actor = Actor(weights.actor, weights.log_std, weights.critic)
     params = PendulumParams(*[jnp.float32(1.0)] * (len(PendulumParams._fields) - 1), jnp.zeros(0))

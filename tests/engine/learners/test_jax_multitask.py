@@ -10,6 +10,7 @@ import pytest
 from poles import params_of
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import algorithms, networks
 from mbtl.engine.learners.evaluation import own_measures
 from mbtl.engine.learners.multitask import moore, paco, table
@@ -20,7 +21,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.worlds import CartPole
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
-CARTPOLE = engine.Solo(CartPole(horizon=60))
+CARTPOLE = worlds.Solo(CartPole(horizon=60))
 
 
 LENGTHS = (0.1, 0.5, 1.0, 2.0, 5.0)
@@ -172,7 +173,7 @@ def test_task_weights_mix_the_representations():
 @pytest.mark.parametrize("method", ["ppo", "paco", "moore"])
 def test_cartpole_is_learnt_on_all_contexts(method):
     ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
-    env, recipe = engine.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe.of(method, ppo, 2)
+    env, recipe = worlds.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe.of(method, ppo, 2)
     scores = []
     sets = engine.in_sets(recipe, params_of(env, (0.25, 0.5, 1.0)), 3)
     start = engine.start(env, recipe, [0], sets)
@@ -180,7 +181,7 @@ def test_cartpole_is_learnt_on_all_contexts(method):
         env, recipe, [0], sets, 40_000, checkpoint_every=8_000, checkpoint_episodes=6,
         on_block=lambda block: scores.append(float(block.training.latest_return[0])),
     )  # fmt: skip
-    contexts, seeds = engine.context_of(sets, 0), np.arange(15).reshape(3, 5)
+    contexts, seeds = worlds.context_of(sets, 0), np.arange(15).reshape(3, 5)
     returns = {
         name: engine.evaluate(env, engine.actor_of(weights), contexts, seeds)
         for name, weights in [("start", start.state.weights), ("best", training.best)]

@@ -11,12 +11,13 @@ import pytest
 from poles import assert_same
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.errors import InvalidInput
 from mbtl.zoo.worlds import CartPole
 
-CARTPOLE = engine.Solo(CartPole(horizon=60))
+CARTPOLE = worlds.Solo(CartPole(horizon=60))
 params_of = partial(poles.params_of, CARTPOLE)
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
 ON_SETS = engine.MultiTaskRecipe.of("ppo", TINY)

@@ -7,7 +7,7 @@ import pytest
 from poles import apart, same_policy
 
 import mbtl.engine.learners as engine
-from mbtl.engine import WorldTrainer
+from mbtl.engine import WorldTrainer, worlds
 from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds
 from mbtl.trainers import SB3Trainer
@@ -117,18 +117,16 @@ def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
     assert np.array_equal(steps, counted)
 
 
-def test_where_an_environment_does_not_say_its_episodes_are_counted_once_more():
+def test_steps_are_no_returns():
     policy = CARTPOLE.train([POLE], 0, length=500 / CARTPOLE.whole).policy
-    silent = WorldTrainer(_Silent(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
-    returns, steps = silent.evaluate_steps(policy, [POLE], [5])
+    double = WorldTrainer(_Doubled(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
+    returns, steps = double.evaluate_steps(policy, [POLE], [5])
     assert np.array_equal(returns, 2 * steps)
 
 
 @dataclass(frozen=True)
 class _Double(CartPole):
-    """Two points per step, and no word of how long episodes are."""
-
-    lasts = None
+    """Two points per step."""
 
     def step(self, state, action, params):
         moved = super().step(state, action, params)
@@ -136,11 +134,11 @@ class _Double(CartPole):
 
 
 @dataclass(frozen=True)
-class _Silent:
+class _Doubled:
     problem: object
 
     def __call__(self, contexts):
-        return engine.Solo(_Double()), self.problem(contexts)[1]
+        return worlds.Solo(_Double()), self.problem(contexts)[1]
 
 
 BY_EPISODES = {

@@ -13,8 +13,8 @@ import pytest
 from poles import params_of
 
 import mbtl.engine.learners as engine
-from mbtl.engine.learners import blocks, networks
-from mbtl.engine.worlds import ends
+from mbtl.engine import worlds
+from mbtl.engine.learners import blocks, evaluation, networks
 from mbtl.engine.worlds.environments import Box, Discrete
 from mbtl.engine.worlds.flags import settings
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
@@ -22,8 +22,8 @@ from mbtl.zoo.cmdps import cartpole, pendulum
 from mbtl.zoo.worlds import CartPole, Pendulum
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
-CARTPOLE = engine.Solo(CartPole())
-PENDULUM = engine.Solo(Pendulum())
+CARTPOLE = worlds.Solo(CartPole())
+PENDULUM = worlds.Solo(Pendulum())
 # compiling a program takes longer than running it, so most tests share these, with P = 2
 RECIPE = {
     "cartpole": replace(engine.recipe_named("PPO", "fast"), anneal=False),
@@ -37,7 +37,7 @@ cartpole_params = partial(params_of, CARTPOLE)
 def pendulum_params(masses):
     envs = [pendulum.Pendulum({"mass": mass}) for mass in masses]
     constants = [pendulum.derive(env.features) for env in envs]
-    return engine.stack_params(PENDULUM, constants, [env.visible for env in envs])
+    return worlds.stack_params(PENDULUM, constants, [env.visible for env in envs])
 
 
 # ---- training ------------------------------------------------------------------------------------
@@ -155,25 +155,17 @@ def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
                 assert returns[p, c, e] == pytest.approx(total, rel=0.02, abs=1.0)
 
 
-def test_the_size_of_blocks_does_not_change_returns(trained):
+def test_the_size_of_blocks_does_not_change_returns(trained, monkeypatch):
     env, params, _, training = trained
     seeds, actor = [[0, 1, 2], [3, 4, 5], [0, 1, 2]], engine.actor_of(training.best)
     params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
-    small = engine.evaluate(env, actor, params, seeds, rows=6)
-    np.testing.assert_allclose(small, engine.evaluate(env, actor, params, seeds), rtol=1e-3)
+    whole = engine.evaluate(env, actor, params, seeds)
+    monkeypatch.setattr(evaluation, "CPU_ROWS", 6)
+    small = engine.evaluate(env, actor, params, seeds)
+    np.testing.assert_allclose(small, whole, rtol=1e-3)
     np.testing.assert_array_equal(small[:, 0], small[:, 2])
     actors = engine.import_actor(engine.export_policies(env, training.best))
-    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds, rows=6))
-
-
-def test_episodes_that_end_make_room_and_change_nothing(trained, monkeypatch):
-    env, params, _, training = trained
-    seeds = np.arange(80).reshape(2, 40)
-    given = env, engine.actor_of(training.best), params, seeds
-    monkeypatch.setattr(engine.Solo, "ends_early", True)
-    closed_up = engine.evaluate(*given, rows=48)
-    monkeypatch.setattr(ends, "PARTS", 1)
-    np.testing.assert_array_equal(closed_up, engine.evaluate(*given, rows=48))
+    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds))
 
 
 def test_a_return_is_the_same_in_any_company_and_every_context_has_luck_of_its_own(trained):
@@ -268,12 +260,13 @@ def test_who_has_started_jax_without_them_is_told_so_once():
 
 HUNDRED = """
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import evaluation
 from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole
-env = engine.Solo(CartPole())
+env = worlds.Solo(CartPole())
 constants = cartpole.derive(cartpole.CartPole.FEATURES)
-params = engine.stack_params(env, [constants] * 100)
+params = worlds.stack_params(env, [constants] * 100)
 training = engine.train(env, engine.recipe_named("PPO", "fast"), range(100), params, 3_000)
 print(int(training.updates))
 """

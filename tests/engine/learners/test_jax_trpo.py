@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import trpo
@@ -166,7 +167,7 @@ def test_a_step_that_would_not_pay_is_not_made():
 
 def one_context(trainer, context):
     twin, params = trainer.problem([context])
-    return twin, engine.context_of(params, 0)
+    return twin, worlds.context_of(params, 0)
 
 
 def test_episodes_record_what_was_done():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.units import Units
 from mbtl.zoo.cmdps import pendulum
@@ -12,7 +13,7 @@ from mbtl.zoo.worlds import Pendulum
 
 RNG = np.random.default_rng(0)
 OBS = np.float32(RNG.normal([0.0, 5.0, -300.0, 0.7], [1.0, 0.01, 80.0, 0.0], (500, 4)))
-NETWORK = networks.init_weights(0, 4, engine.Discrete(3), (8, 8)).actor
+NETWORK = networks.init_weights(0, 4, worlds.Discrete(3), (8, 8)).actor
 
 
 def test_a_network_says_the_same_in_other_units():
@@ -36,8 +37,8 @@ def test_a_number_that_never_changes_is_taken_as_it_is():
 
 
 def test_the_first_rollout_only_shows_the_units():
-    world = engine.Solo(Pendulum(horizon=50))
-    params = engine.stack_params(world, [pendulum.Pendulum({}).constants])
+    world = worlds.Solo(Pendulum(horizon=50))
+    params = worlds.stack_params(world, [pendulum.Pendulum({}).constants])
     recipe = engine.PPORecipe(n_envs=4, n_steps=64, batch_size=64, n_epochs=2, standardize=True)
     new = engine.start(world, recipe, [3], params).state.weights
     one = engine.train(world, recipe, [3], params, 1, checkpoint_episodes=1).state.weights

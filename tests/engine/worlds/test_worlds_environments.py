@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole, pendulum
 from mbtl.zoo.worlds import CartPole, Pendulum
@@ -57,7 +57,7 @@ def test_rollouts_agree_in_float64_up_to_the_first_termination(name):
         step = jax.jit(env.step)
         for index, (gym_env, constants) in enumerate(pairs()):
             params = jax.tree.map(
-                lambda x: jnp.asarray(x[0], jnp.float64), engine.stack_params(env, [constants])
+                lambda x: jnp.asarray(x[0], jnp.float64), worlds.stack_params(env, [constants])
             )
             gym_env.reset(seed=index)
             noise = np.random.default_rng(index).random(env.n_noise)
@@ -77,11 +77,11 @@ def test_rollouts_agree_in_float64_up_to_the_first_termination(name):
 
 def nominal(world):
     constants = cartpole.derive(cartpole.CartPole.FEATURES)
-    return jax.tree.map(lambda x: jnp.float32(x[0]), engine.stack_params(world, [constants]))
+    return jax.tree.map(lambda x: jnp.float32(x[0]), worlds.stack_params(world, [constants]))
 
 
 def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
-    world = engine.Solo(CartPole())
+    world = worlds.Solo(CartPole())
     params = nominal(world)
     for drawn in (jnp.arange(2000, dtype=jnp.uint32), world.noise(jax.random.key(0), (2000,))):
         states = np.stack(world.start(drawn, params).env)
@@ -91,7 +91,7 @@ def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
 
 
 def test_what_comes_after_a_terminal_state_does_not_count():
-    world = engine.Solo(CartPole())
+    world = worlds.Solo(CartPole())
     params = nominal(world)
     state = world.start(world.draws(np.arange(3, dtype=np.uint32)), params)
     pushed, step = jnp.ones((3, 1), jnp.int32), jax.jit(world.step)
@@ -109,19 +109,19 @@ def test_what_comes_after_a_terminal_state_does_not_count():
 
 
 def test_parameters_are_matched_by_name():
-    world = engine.Solo(CartPole())
+    world = worlds.Solo(CartPole())
     constants = cartpole.derive(cartpole.CartPole.FEATURES)
     named = dict(reversed(constants._asdict().items()))
-    params = engine.stack_params(world, [constants, named])
+    params = worlds.stack_params(world, [constants, named])
     for field in params[:-1]:
         assert field[0] == field[1]
     with pytest.raises(InvalidInput, match="named gravity"):
-        engine.stack_params(world, [{**named, "wind": 1.0}])
+        worlds.stack_params(world, [{**named, "wind": 1.0}])
     with pytest.raises(InvalidInput, match="no names"):
-        engine.stack_params(world, [tuple(constants)])
+        worlds.stack_params(world, [tuple(constants)])
 
 
 def test_visible_features_need_one_row_per_context():
     constants = pendulum.derive(pendulum.Pendulum.FEATURES)
     with pytest.raises(InvalidInput, match="one row per context"):
-        engine.stack_params(Pendulum(), [constants], [[1.0], [2.0]])
+        worlds.stack_params(Pendulum(), [constants], [[1.0], [2.0]])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mbtl.engine.learners as engine
+from mbtl.engine import worlds
 from mbtl.zoo.cmdps import pendulum
 from mbtl.zoo.worlds import Pendulum
 
@@ -47,14 +48,14 @@ class NumpyPendulum:
         return np.stack([np.cos(state["t"]), np.sin(state["t"]), state["w"]], axis=-1)
 
 
-NATIVE = engine.hosted(NumpyPendulum(horizon=30))
-TRACED = engine.Solo(Pendulum(horizon=30))
+NATIVE = worlds.hosted(NumpyPendulum(horizon=30))
+TRACED = worlds.Solo(Pendulum(horizon=30))
 TINY = engine.PPORecipe(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, learning_rate=1e-3)
 
 
 def params_of(masses):
     peers = [pendulum.Pendulum({"mass": mass}) for mass in masses]
-    return engine.stack_params(NATIVE, [p.constants for p in peers], [p.visible for p in peers])
+    return worlds.stack_params(NATIVE, [p.constants for p in peers], [p.visible for p in peers])
 
 
 def test_single_steps_are_those_of_the_traced_world():

@@ -49,7 +49,7 @@ def test_a_simulator_that_dies_fails_its_training_and_the_next_one_runs():
             return
         world, _ = school.problem([HOLD])
         killed.extend(processes._crew(world.scene, os.getpid()))
-        os.kill(killed[0]._process.pid, signal.SIGKILL)
+        os.kill(killed[0].submit(os.getpid).result(), signal.SIGKILL)
 
     with (
         pytest.warns(RuntimeWarning, match="a simulation failed"),

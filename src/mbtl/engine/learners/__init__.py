@@ -19,7 +19,6 @@ from mbtl.engine.learners.evaluation import (
     joined,
     measured,
     on_cpu,
-    reference_returns,
     taken,
 )
 from mbtl.engine.learners.export import export_policies, taught
@@ -34,32 +33,22 @@ from mbtl.engine.learners.recipes import (
     multitask_recipe,
 )
 from mbtl.engine.learners.saving import SavedTraining, taking_over
-from mbtl.engine.worlds.environments import Box, Discrete, Step
-from mbtl.engine.worlds.hosted import hosted
-from mbtl.engine.worlds.world import Solo, World, context_of, stack_params
 
 __all__ = [
     "MULTI_TASK",
     "A2CRecipe",
     "Actor",
     "Block",
-    "Box",
     "DQNRecipe",
-    "Discrete",
     "Growing",
     "MultiTaskRecipe",
     "PPORecipe",
     "SavedTraining",
-    "Solo",
-    "Step",
-    "World",
     "actor_of",
-    "context_of",
     "episodes_met",
     "evaluate",
     "export_policies",
     "from_arrays",
-    "hosted",
     "import_actor",
     "in_sets",
     "joined",
@@ -67,8 +56,6 @@ __all__ = [
     "multitask_recipe",
     "on_cpu",
     "recipe_named",
-    "reference_returns",
-    "stack_params",
     "stage",
     "start",
     "taken",

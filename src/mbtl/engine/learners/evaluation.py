@@ -12,7 +12,7 @@ A world may know that luck is of K kinds. Then an episode is one of each, and wo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -23,15 +23,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
-from mbtl.engine.learners.episodic.episodes import Acting, Actor, go_on, measures
+from mbtl.engine.learners.episodic.episodes import Acting, Actor, measures
 from mbtl.engine.learners.recipes import Activation
-from mbtl.engine.worlds import ends
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import Solo, World, context_of, in_a_row, of_simulations
 from mbtl.errors import InvalidInput
+from mbtl.score import RANDOM_ACTIONS
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
+
+_SHARE, _LANES = 3, 16
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
@@ -76,25 +78,41 @@ def evaluate(
     *,
     activation: Activation = "tanh",
     how: Acting = "mean",
-    rows: int | None = None,
 ) -> Array:
-    """Scores of every policy on every context, in raw units.
+    """(P, C, E) scores of every policy on every context, in raw units; see `measured`."""
+    return measured(world, actor, params, seeds, activation=activation, how=how)["score"]
+
+
+def measured(
+    world: World,
+    actor: Actor | None,
+    params: Tree,
+    seeds: ArrayLike,
+    *,
+    activation: Activation = "tanh",
+    how: Acting = "mean",
+    way: str = "",
+) -> dict[str, Array]:
+    """All that the world measures of an episode, by name; its "score" among it.
 
     Args:
         world: the dynamics.
-        actor: of P policies, leading axis.
+        actor: of P policies, leading axis; None: what goes without one, P = 1.
         params: of C contexts, likewise.
         seeds: (C, E) of the episodes in each context.
         activation: between the layers of the actors.
         how: actions follow from a policy.
-        rows: simulations at a time; None chooses for world and device.
+        way: without one: "random_actions", "unguided", or one of the world's `ways`.
 
     Returns:
-        (P, C, E).
+        (P, C, E) each.
 
     Raises:
         InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
     """
+    if actor is None:
+        actor, how = Actor((), jnp.zeros((1, 1))), "random" if way == RANDOM_ACTIONS else "none"
+        world = replace(cast(Any, world), way=way) if way in getattr(world, "ways", ()) else world
     n_policies, n_contexts = len(actor.log_std), len(params.visible)
     own = np.array(seeds, np.uint32)
     if own.ndim != 2 or len(own) != n_contexts or 0 in (n_policies, *own.shape):
@@ -105,52 +123,97 @@ def evaluate(
     n_episodes = own.shape[1]
     most = getattr(world, "most", None)  # simulations at once
     if most is not None and n_episodes > most:
-        parts = [own[:, first : first + most] for first in range(0, n_episodes, most)]
-        each = partial(evaluate, world, actor, params, activation=activation, how=how)
-        return np.concatenate([each(some) for some in parts], axis=-1)
+        each = partial(measured, world, actor, params, activation=activation, how=how)
+        some = [each(own[:, first : first + most]) for first in range(0, n_episodes, most)]
+        return {name: np.concatenate([one[name] for one in some], axis=-1) for name in some[0]}
     params, shares = of_each_kind(world, params)
-    own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
-    solo = isinstance(world, Solo)  # else all simulations of a batch may decide something together
-    if not (solo or most or on_cpu()):
-        found = _pairs(world, activation, how, actor, own, params)
-        return merged(found.reshape(n_policies, n_contexts, n_episodes), shares)
-    fitting = CPU_ROWS if solo else n_policies * n_episodes
-    rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
-    width = min(n_episodes * (n_contexts if solo else 1), rows)  # of a policy
-    height = max(1, min(n_policies, rows // width))
-    drawn, actor = world.draws(own) if solo else own, actor._replace(critic=())
-    returns = np.empty((n_policies, n_contexts, n_episodes))
+    own, actor = np.repeat(own, shares.shape[1], axis=0), actor._replace(critic=())
+    shape = n_policies, shares.size * n_episodes
+    if isinstance(world, Solo):
+        parts = _blocks(world, activation, how, actor, own, params)
+    elif most or on_cpu():
+        height = n_policies if most is None else min(n_policies, most // n_episodes)
+        parts = _context_by_context(world, activation, how, actor, own, params, height)
+    else:
+        parts, shape = _pairs(world, activation, how, actor, own, params), (-1, n_episodes)
+    found: dict[str, Array] = {}
+    for p, first, part in parts:
+        for name, numbers in part.items():
+            if name not in found:
+                found[name] = np.empty((n_policies, shares.size, n_episodes))
+            place = found[name].reshape(shape)[p:, first:]
+            there = np.asarray(numbers)[: len(place), : place.shape[1]]
+            place[: len(there), : there.shape[1]] = there
+    return {name: merged(numbers, shares) for name, numbers in found.items()}
+
+
+Part = tuple[int, int, dict[str, jax.Array]]
+"""First row and column of a table, and what is measured from there on; beyond its end nonsense."""
+
+
+def _blocks(
+    world: Solo,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+) -> Iterator[Part]:
+    """Of (P, C x E) episodes, so many of all contexts at a time.
+
+    A block has a third of the episodes that it may have, so that few wait for the longest; a
+    multiple of what a processor computes at once, so that no place in it is computed otherwise.
+    """
+    drawn, count, n_episodes = world.draws(seeds), seeds.size, seeds.shape[1]
+    drawn, seeds = drawn.reshape(count, *drawn.shape[2:]), seeds.reshape(count)
+    rows = CPU_ROWS if on_cpu() else DEVICE_ROWS
+    most = min(count, rows)
+    width = min(most, -(-most // (_SHARE * _LANES)) * _LANES)
+    height, decisions = min(len(actor.log_std), rows // most), world.decisions(params)
+    for p in range(0, len(actor.log_std), height):
+        some = _take(actor, p, height, len(actor.log_std))
+        for first in range(0, count, width):
+            own = np.minimum(np.arange(first, first + width), count - 1)
+            own = np.tile(own, (height, 1))
+            where = taken(params, own.ravel() // n_episodes)
+            played = (seeds[own], drawn[own], where, decisions)
+            yield p, first, measures(world, activation, how, some, *played)
+
+
+def _context_by_context(
+    world: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+    height: int,
+) -> Iterator[Part]:
+    """The same, so many policies at a time: all of a batch may decide something together."""
+    n_policies, n_episodes = len(actor.log_std), seeds.shape[1]
     for p in range(0, n_policies, height):
-        some, place = _take(actor, p, height, n_policies), returns[p : p + height]
-        count = len(place)
-        if isinstance(world, Solo):
-
-            def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
-                return go_on(world, activation, how, some, own, where, state, *when)
-
-            found = ends.scores(world, params, own, drawn, height, width, play)
-            place[...] = found.reshape(height, *place.shape[1:])[:count]
-            continue
-        for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
-            where = context_of(params, c)
-            everyone = np.tile(own[c], (height, 1))
-            part = own_measures(world, activation, how, some, everyone, where)["score"]
-            place[:, c] = np.asarray(part)[:count]
-    return merged(returns, shares)
+        some = _take(actor, p, height, n_policies)
+        for c, own in enumerate(seeds):
+            everyone, where = np.tile(own, (height, 1)), context_of(params, c)
+            part = own_measures(world, activation, how, some, everyone, where)
+            yield p, c * n_episodes, part
 
 
 def _pairs(
-    world: World, activation: Activation, how: Acting, actor: Actor, seeds: Any, params: Tree
-) -> Array:
-    """(P x C, E) scores of every policy on every context, many of these pairs together."""
+    world: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+) -> Iterator[Part]:
+    """Of (P x C, E) episodes, many pairs of a policy and a context together."""
     who, where = np.indices((len(actor.log_std), len(seeds))).reshape(2, -1)
-    step, found = min(len(who), max(1, DEVICE_CROWDS // seeds.shape[1])), []
+    step = min(len(who), max(1, DEVICE_CROWDS // seeds.shape[1]))
     for first in range(0, len(who), step):
         own, at = _take((who, where), first, step, len(who))
-        some, there = taken(actor._replace(critic=()), own), taken(params, at)
-        part = own_measures(world, activation, how, some, seeds[at], there)["score"]
-        found.append(np.asarray(part)[: len(who) - first])
-    return np.concatenate(found)
+        some, there = taken(actor, own), taken(params, at)
+        yield first, 0, own_measures(world, activation, how, some, seeds[at], there)
 
 
 def of_each_kind(world: Any, params: Any) -> tuple[Any, Array]:
@@ -176,58 +239,6 @@ def taken(tree: Tree, which: Any) -> Any:
 def joined(trees: Sequence[Tree]) -> Any:
     """One tree, along the leading axis."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
-
-
-def measured(
-    world: World,
-    actor: Actor | None,
-    params: Tree,
-    seeds: ArrayLike,
-    *,
-    activation: Activation = "tanh",
-    how: Acting = "mean",
-    way: str = "",
-) -> dict[str, Array]:
-    """(C, E) of one policy on every context, by name: all that the world measures of an episode.
-
-    Args:
-        world: the dynamics; with `measures`.
-        actor: of the policy; None: what goes by itself, by this `way` where the world has several.
-        params: of C contexts.
-        seeds: (C, E) of the episodes in each context.
-        activation: between the layers of the actor.
-        how: actions follow from the policy.
-        way: one of the world's `ways`.
-    """
-    if actor is None:
-        actor, how = Actor((), jnp.zeros((1, 1))), "none"
-        world = replace(cast(Any, world), way=way) if way in getattr(world, "ways", ()) else world
-    params, shares = of_each_kind(world, params)
-    own = np.repeat(np.array(seeds, np.uint32), shares.shape[1], axis=0)
-    each = [
-        own_measures(world, activation, how, actor, own[c : c + 1], context_of(params, c))
-        for c in range(shares.size)
-    ]
-    return {
-        name: merged(np.stack([np.asarray(one[name]) for one in each], axis=1), shares)[0]
-        for name in each[0]
-    }
-
-
-def reference_returns(world: World, params: Tree, seeds: ArrayLike, way: str) -> Array:
-    """(C, E) scores without any policy, in the episodes of these (C, E) seeds.
-
-    Args:
-        world: the dynamics.
-        params: of C contexts.
-        seeds: of the episodes.
-        way: "random_actions", "unguided", or one of the world's `ways`.
-    """
-    nobody, how = Actor((), jnp.zeros((1, 1))), "random" if way == "random_actions" else "none"
-    if way not in ("random_actions", "unguided"):  # a controller of the world's own
-        world = replace(cast(Any, world), way=way)
-    found: Array = evaluate(world, nobody, params, seeds, how=cast(Acting, how))[0]
-    return found
 
 
 def _take(tree: Tree, first: int, count: int, size: int) -> Any:

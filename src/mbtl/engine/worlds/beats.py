@@ -11,45 +11,20 @@ Notation (shapes): n simulations, D decisions of the longest episode, B beats.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from mbtl.engine.worlds.environments import Beats, Length, Tree
-from mbtl.engine.worlds.world import Moved, Seeded, World
+from mbtl.engine.worlds.world import Seeded, World
 
 _ALIKE = 4
 """So many times as many decisions as in another episode are too many to learn from together."""
 
 Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
 """state, (n,) numbers of decisions -> (n, ...) actions to apply, and what shall be kept of it."""
-
-
-class Holding(World, Protocol):
-    """A world in whose contexts decisions last differently long; its batches move in beats.
-
-    A beat is a time of which all decisions are multiples. Between decisions an instruction holds.
-    """
-
-    def beats(self, params: Tree, beats: Beats) -> tuple[jax.Array, jax.Array]:
-        """(n,) beats of one decision, and decisions of an episode."""
-        ...
-
-    def held(self, state: Tree) -> Tree:
-        """Instructions before the first beat."""
-        ...
-
-    def beat(
-        self, state: Tree, held: Tree, action: jax.Array, params: Tree, beats: Beats, now: jax.Array
-    ) -> tuple[Moved, Tree]:
-        """One beat; instructions are taken where a decision is due.
-
-        `Moved` tells reward and end of a decision with its last beat. Whose episode is over stands
-        still.
-        """
-        ...
 
 
 class HoldParams(NamedTuple):
@@ -65,7 +40,15 @@ class HoldParams(NamedTuple):
 
 
 class Holds(Seeded):
-    """What worlds with `HoldParams` have in common.
+    """What worlds with `HoldParams` have in common; their batches move in beats.
+
+    A beat is a time of which all decisions are multiples. Between decisions an instruction holds.
+    A subclass has two methods more:
+
+        held(state) -> held                 instructions before the first beat
+        beat(state, held, action, params, beats, now) -> (Moved, held)
+            one beat; instructions are taken where a decision is due. `Moved` tells reward and end
+            of a decision with its last beat. Whose episode is over stands still.
 
     Attributes:
         total_steps: of the time in which there are decisions; the last may go beyond.
@@ -100,7 +83,7 @@ class Holds(Seeded):
         return sizes
 
     def beats(self, params: HoldParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
-        """See `Holding`."""
+        """(n,) beats of one decision, and decisions of an episode."""
         return params.hold // beats.steps, -(-self.total_steps // params.hold)
 
 
@@ -126,14 +109,14 @@ def lived(
     """The state after the longest episode, and what happened on the way.
 
     Args:
-        twin: the dynamics; in beats a `Holding` world.
+        twin: the dynamics; in beats one of `Holds`.
         length: of the longest episode, in decisions that last equally long or in beats; static.
         state: at the first decision.
         params: of every simulation.
         decide: what agents are told.
     """
     if isinstance(length, Beats):
-        return _in_beats(cast(Holding, twin), length, state, params, decide)
+        return _in_beats(twin, length, state, params, decide)
 
     def one(state: Tree, number: jax.Array) -> tuple[Tree, Decisions]:
         action, kept = decide(state, number)
@@ -146,7 +129,7 @@ def lived(
 
 
 def _in_beats(
-    twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide
+    twin: Any, beats: Beats, state: Tree, params: Tree, decide: Decide
 ) -> tuple[Tree, Decisions]:
     every, decisions = twin.beats(params, beats)
 
@@ -175,16 +158,14 @@ def played(
     state: Tree,
     params: Tree,
     told: Callable[[Tree, jax.Array], Any],
-    first: Any = 0,
 ) -> Tree:
     """The state after the longest episode, of which nothing is kept.
 
     It ends as soon as all episodes have, or after the last beat. The numbers of `length` may be
-    traced. `told`: state, number of the decision -> actions, or None where nobody advises; `first`
-    is the number of the next one, where there are no beats.
+    traced. `told`: state, number of the decision -> actions, or None where nobody advises.
     """
     if isinstance(length, Beats):
-        return _beaten(cast(Holding, twin), length, state, params, told)
+        return _beaten(twin, length, state, params, told)
 
     def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
         return (carry[0] < length) & ~twin.over(carry[1]).all()
@@ -195,11 +176,11 @@ def played(
         moved = twin.drive(state, params) if action is None else twin.step(state, action, params)
         return number + 1, moved.state
 
-    return jax.lax.while_loop(going_on, one, (jnp.int32(first), state))[1]
+    return jax.lax.while_loop(going_on, one, (jnp.int32(0), state))[1]
 
 
 def _beaten(
-    twin: Holding, beats: Beats, state: Tree, params: Tree, told: Callable[[Tree, jax.Array], Any]
+    twin: Any, beats: Beats, state: Tree, params: Tree, told: Callable[[Tree, jax.Array], Any]
 ) -> Tree:
     every, _ = twin.beats(params, beats)
 

@@ -108,9 +108,6 @@ class OfOneAgent(Described, Protocol):
     Attributes:
         horizon: steps after which an episode is cut off.
         n_noise: uniform random numbers that start an episode.
-
-    It may say how many steps an episode has, so that nobody need count them: `lasts = "horizon"`,
-    or "return" where that is the number of its steps.
     """
 
     @property

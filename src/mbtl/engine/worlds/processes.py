@@ -18,6 +18,7 @@ import pickle
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,11 +27,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental import io_callback
 
-from mbtl.engine.elsewhere import Elsewhere
-from mbtl.engine.scene import EnvScene, Sight
+from mbtl.engine.scene import EnvScene, Sight, ask
 from mbtl.engine.worlds.environments import Box, Discrete, TimeLimit, Tree
 from mbtl.engine.worlds.world import Moved, Seeded, Seen
-from mbtl.errors import InvalidInput, MbtlError
+from mbtl.errors import InvalidInput
+from mbtl.processes import SeparateWorkers
 
 MOST = 32
 """Simulations at once: so many processes, of 100 MB or so each."""
@@ -151,9 +152,9 @@ class Processes(Seeded):
         rows = zip(*(map(_decimal, np.asarray(column)) for column in contexts), strict=True)
         named = [dict(zip(self.features, row, strict=True)) for row in rows]
         crew = self._crew(len(named))
-        for one, context, seed in zip(crew, named, np.asarray(seeds).tolist(), strict=True):
-            one.ask("start", context, seed)
-        sights = [_answer(one) or self._lost() for one in crew]
+        told = zip(crew, named, np.asarray(seeds).tolist(), strict=True)
+        asked = [one.submit(ask, self.scene, "start", context, seed) for one, context, seed in told]
+        sights = [_answer(each) or self._lost() for each in asked]
         return np.arange(len(crew), dtype=np.int32), *_stacked(sights)
 
     def _moved(self, state: Live, action: jax.Array | None) -> Moved:
@@ -172,19 +173,21 @@ class Processes(Seeded):
         obs, acting, over, score = map(np.array, (obs, acting, over, score))
         reward, done = np.zeros(acting.shape, np.float32), np.zeros(acting.shape, bool)
         crew = self._crew(len(over))
-        there = np.flatnonzero(~over)
-        for i in there.tolist():
-            crew[i].ask("step", None if action is None else np.asarray(action[i]))
-        for i in there.tolist():
-            found = _answer(crew[i])
+        asked = {
+            i: crew[i].submit(
+                ask, self.scene, "step", None if action is None else np.asarray(action[i])
+            )
+            for i in np.flatnonzero(~over).tolist()
+        }
+        for i, each in asked.items():
+            found = _answer(each)
             sight, reward[i], done[i] = found if found is not None else (self._lost(), np.nan, True)
             obs[i], acting[i], over[i], score[i] = sight
         return obs, acting, over, score, reward, done
 
-    def _crew(self, n: int) -> Sequence[Elsewhere]:
+    def _crew(self, n: int) -> Sequence[SeparateWorkers]:
         crew = _crew(self.scene, os.getpid())
-        while len(crew) < n:
-            crew.append(Elsewhere(pickle.loads(self.scene)))
+        crew.extend(SeparateWorkers(1) for _ in range(n - len(crew)))
         return crew[:n]
 
     def _kinds(self, n: int) -> tuple[jax.ShapeDtypeStruct, ...]:
@@ -202,7 +205,7 @@ class Processes(Seeded):
 
 
 @functools.lru_cache(maxsize=4)
-def _crew(scene: bytes, owner: int) -> list[Elsewhere]:
+def _crew(scene: bytes, owner: int) -> list[SeparateWorkers]:
     """Processes of a world, as many as were ever needed; those of its master are not a child's."""
     return []
 
@@ -217,11 +220,11 @@ def _stacked(sights: Sequence[Sight]) -> tuple[Any, ...]:
     return np.stack(obs), np.stack(acting), np.array(over), np.array(score, np.float32)
 
 
-def _answer(one: Elsewhere) -> Any:
+def _answer(asked: Future[Any]) -> Any:
     """What a scene gave; None where its simulator failed or its process died."""
     try:
-        return one.answer()
-    except MbtlError as error:
+        return asked.result()
+    except Exception as error:  # a stranger's simulator may raise anything
         warnings.warn(f"a simulation failed, so its training fails, too: {error}", RuntimeWarning,
                       stacklevel=2)  # fmt: skip
         return None

@@ -175,11 +175,13 @@ class Played(NamedTuple):
         env: their states.
         alive: (n,) no terminal state has been reached.
         total: (n,) sum of the rewards until then.
+        steps: (n,) how many there were.
     """
 
     env: Tree
     alive: jax.Array
     total: jax.Array
+    steps: jax.Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,11 +193,9 @@ class Solo:
 
     Attributes:
         env: one simulation.
-        counts: a step is worth 1, so that a return is a number of steps.
     """
 
     env: Environment
-    counts: bool = False
     agents: int = 1
 
     def __repr__(self) -> str:
@@ -227,14 +227,6 @@ class Solo:
         return self.env.params
 
     @property
-    def ends_early(self) -> bool:
-        """Whether many episodes are much shorter than others.
-
-        Not where the environment says how long they are (`lasts`): those are played in one part.
-        """
-        return not hasattr(self.env, "lasts")
-
-    @property
     def drives(self) -> bool:
         """Whether the environment has an action that is none, `idle`."""
         return hasattr(self.env, "idle")
@@ -258,7 +250,8 @@ class Solo:
         if drawn.ndim == 1:
             drawn = random.uniform(drawn, _FIRST, jnp.uint32(0), self.env.n_noise).T
         state = jax.vmap(self.env.initial, (0, _axis(params)))(drawn, params)
-        return Played(state, jnp.ones(len(drawn), bool), jnp.zeros(len(drawn)))
+        n = len(drawn)
+        return Played(state, jnp.ones(n, bool), jnp.zeros(n), jnp.zeros(n, jnp.int32))
 
     def restart(self, state: Played, over: jax.Array, noise: jax.Array, params: Tree) -> Played:
         """The states, but first ones where a simulation is over, (n,)."""
@@ -278,8 +271,9 @@ class Solo:
         """One step; what comes after a terminal state does not count."""
         step = jax.vmap(self.env.step, (0, 0, _axis(params)))
         new, reward, terminated = step(state.env, action[:, 0], params)
-        reward = jnp.where(state.alive, 1.0 if self.counts else reward, 0.0).astype(jnp.float32)
-        played = Played(new, state.alive & ~terminated, state.total + reward)
+        reward = jnp.where(state.alive, reward, 0.0).astype(jnp.float32)
+        total, steps = state.total + reward, state.steps + state.alive
+        played = Played(new, state.alive & ~terminated, total, steps)
         return Moved(played, reward[:, None], (state.alive & terminated)[:, None])
 
     def drive(self, state: Played, params: Tree) -> Moved:

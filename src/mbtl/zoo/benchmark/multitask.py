@@ -284,9 +284,11 @@ class InJax:
 
     def played(self, policy: Any, seeds: Sequence[int], on_step: OnStep) -> Array:
         """(N, E) returns."""
+        from mbtl.engine.worlds import context_of  # starts jax
+
         one = self._problem()
         each = episode_seeds(seeds, len(self.contexts), self.trainer.eval_episodes)
-        seen, actor = engine.context_of(one.sets, 0), engine.actor_of(policy)
+        seen, actor = context_of(one.sets, 0), engine.actor_of(policy)
         activation = one.recipe.activation
         returns: Array = engine.evaluate(one.world, actor, seen, each, activation=activation)[0]
         return returns

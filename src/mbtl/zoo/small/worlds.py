@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -67,8 +67,6 @@ class AcrobotState(NamedTuple):
 @dataclass(frozen=True)
 class Acrobot:
     """Swing the tip of two links above the bar, by a torque between them: -1, 0 or 1."""
-
-    lasts: ClassVar[str] = "return"
 
     horizon: int = 200
     time_limit: TimeLimit = "truncation"
@@ -161,8 +159,6 @@ class MountainCar:
     v^2 / 2 + gravity sin(3x) / 3; the nominal hill is worth 16.
     """
 
-    lasts: ClassVar[str] = "horizon"
-
     horizon: int = 200
     time_limit: TimeLimit = "truncation"
     action: Box = Box((-1.0,), (1.0,))  # noqa: RUF009
@@ -223,11 +219,6 @@ class Disturbed:
     inside: Environment
     scale: tuple[float, ...]
     most: int = 5
-
-    @property
-    def lasts(self) -> str:
-        """As inside."""
-        return str(self.inside.lasts)  # type: ignore[attr-defined]
 
     @property
     def horizon(self) -> int:

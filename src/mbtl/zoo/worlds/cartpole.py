@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,8 +47,6 @@ class CartPoleState(NamedTuple):
 @dataclass(frozen=True)
 class CartPole:
     """Balance a pole on a cart pushed left (0) or right (1)."""
-
-    lasts: ClassVar[str] = "return"
 
     horizon: int = 500
     time_limit: TimeLimit = "truncation"

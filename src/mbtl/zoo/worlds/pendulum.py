@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,8 +40,6 @@ def wrapped(angle: jax.Array) -> jax.Array:
 @dataclass(frozen=True)
 class Pendulum:
     """Swing a pendulum up and hold it, with a torque of at most 2 N m; it never terminates."""
-
-    lasts: ClassVar[str] = "horizon"
 
     horizon: int = 200
     time_limit: TimeLimit = "truncation"

@@ -22,7 +22,7 @@ from mbtl.engine.learners.recipes import Activation
 from mbtl.engine.worlds import beats, random
 from mbtl.engine.worlds.environments import Beats, Discrete, Length, Tree
 from mbtl.engine.worlds.packing import Agents, chunk_size, most_rows
-from mbtl.engine.worlds.world import Crowd, World
+from mbtl.engine.worlds.world import Crowd, Solo, World
 from mbtl.portfolio import BoxHead, MLPPolicy
 
 Acting = Literal["sampled", "mean", "random", "none"]
@@ -203,25 +203,6 @@ def measures(
     contexts, one after the other or, in beats, together; it ends as soon as all episodes have. The
     numbers of `decisions` need not be static.
     """
-    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    end = go_on(twin, activation, how, actor, seeds, params, state, 0, decisions)
-    found = twin.measures(end) if hasattr(twin, "measures") else {"score": twin.score(end)}
-    return {name: each.reshape(seeds.shape) for name, each in found.items()}
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def go_on(
-    twin: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: jax.Array,
-    params: Tree,
-    state: Tree,
-    first: jax.Array | int,
-    decisions: Tree,
-) -> Tree:
-    """States after decisions first, ..., decisions - 1; see `measures`."""
     shape, flat = seeds.shape, seeds.reshape(-1)
 
     def told(state: Tree, moment: jax.Array) -> jax.Array | None:
@@ -238,7 +219,12 @@ def go_on(
             action = networks.mode(outputs, twin.action)
         return action.reshape(-1, *action.shape[2:])
 
-    return beats.played(twin, decisions, state, params, told, first)
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    end = beats.played(twin, decisions, state, params, told)
+    found = twin.measures(end) if hasattr(twin, "measures") else {"score": twin.score(end)}
+    if isinstance(twin, Solo):
+        found["steps"] = end.steps
+    return {name: each.reshape(shape) for name, each in found.items()}
 
 
 def _sampled(

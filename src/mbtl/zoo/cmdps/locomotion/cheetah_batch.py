@@ -52,7 +52,6 @@ class HalfCheetahs:
     n_features: ClassVar[int] = cheetah.N_FEATURES
     n_noise: ClassVar[int] = cheetah.N_NOISE
     max_return: ClassVar[float | None] = None
-    lasts: ClassVar[str] = "horizon"
     params: ClassVar[type[CheetahParams]] = CheetahParams
     traced_start: ClassVar[bool] = True
 

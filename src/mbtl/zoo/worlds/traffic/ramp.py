@@ -722,7 +722,7 @@ class RampTwin(Holds):
     # ---- decisions that last differently long ------------------------------------------------
 
     def held(self, state: RampState) -> Held:
-        """See `mbtl.engine.worlds.beats.Holding`."""
+        """See `mbtl.engine.worlds.beats.Holds`."""
         return Held(jnp.zeros_like(state.counts.speed), state.look, state.look.car)
 
     def beat(
@@ -734,7 +734,7 @@ class RampTwin(Holds):
         beats: Beats,
         now: jax.Array,
     ) -> tuple[Moved, Held]:
-        """See `engine.worlds.beats.Holding`; where the episode is over cars drive on uncounted."""
+        """See `engine.worlds.beats.Holds`; where the episode is over cars drive on uncounted."""
         every, decisions = self.beats(params, beats)
         due, over = now % every == 0, now >= every * decisions
         anew = partial(jax.tree.map, partial(jnp.where, due))

@@ -164,7 +164,7 @@ class RingTwin(Holds):
     # ---- decisions that last differently long ------------------------------------------------
 
     def held(self, state: RingState) -> Held:
-        """See `mbtl.engine.worlds.beats.Holding`."""
+        """See `mbtl.engine.worlds.beats.Holds`."""
         rest, none = jnp.zeros_like(state.total), jnp.zeros_like(state.measured)
         return Held(rest, rest, none, state.running, state.seen)
 
@@ -177,7 +177,7 @@ class RingTwin(Holds):
         beats: Beats,
         now: jax.Array,
     ) -> tuple[Moved, Held]:
-        """See `mbtl.engine.worlds.beats.Holding`."""
+        """See `mbtl.engine.worlds.beats.Holds`."""
         every, decisions = self.beats(params, beats)
         due, over = now % every == 0, now >= every * decisions
         anew = self.held(state)._replace(told=action.reshape(-1).astype(jnp.float32))
