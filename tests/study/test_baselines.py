@@ -103,6 +103,19 @@ def test_a_baseline_that_is_as_good_or_better_is_said_first():
     assert lines(summarise_study(study), SPACE)[0].startswith("Training adds nothing sure to")
 
 
+def test_contexts_where_a_baseline_did_better_are_named():
+    study = ran(1)
+    better = np.array([13.0, 15.0, 12.0, 14.5, 14.0])[:, None] + np.zeros((5, 3))
+    study.record_fresh_returns(
+        np.full((5, 3), 14.0), np.full((5, 3), 14.0), best_single=0,
+        baselines={"slow": np.full((5, 3), 20.0), "fixed time": better},
+    )  # fmt: skip
+    summary = summarise_study(study)
+    assert summary.behind == ((2, "fixed time"), (0, "fixed time"))
+    said = "A baseline did better in 2 of 5 contexts, most at demand = 3 veh/min (fixed time)."
+    assert said in lines(summary, SPACE)
+
+
 def test_baselines_and_metrics_are_kept_in_the_log_and_new_ones_are_played_later(tmp_path):
     ran(2, storage=tmp_path / "study.db")
     again = mbtl.load_study(tmp_path / "study.db")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.objective import value, worst_share_mean
+from mbtl.objective import Bounds, value, worst_share_mean
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.study import Study, Training
 from mbtl.study.closing_report import Baseline, fresh_value
@@ -67,6 +67,8 @@ class StudySummary:
         policies_enough: fewest policies that reach 99 % of the way from it to V.
         serving: (N,) place of the policy that serves each context.
         baselines: what V is compared with, on the same fresh episodes.
+        behind: contexts where a baseline did better than the policy that serves, by its mean over
+            the fresh episodes, the worst first; and which one.
         score: what an episode is worth, for people: a name and its unit.
         metrics: mean over the contexts that were played, by who ("policies", or a baseline), then
             by measure.
@@ -107,6 +109,7 @@ class StudySummary:
     most_needed: str | None
     serving: tuple[int, ...]
     baselines: tuple[Baseline, ...]
+    behind: tuple[tuple[int, str], ...]
     score: tuple[str, str]
     metrics: Mapping[str, Mapping[str, float]]
     metric_units: Mapping[str, str]
@@ -195,6 +198,7 @@ def summarise_study(study: Study) -> StudySummary:
         "automatic_bounds": study.spec.bounds is None,
         "picks": tuple(sorted(trainings, key=_told_first)),
         "baselines": () if fresh is None else fresh.baselines,
+        "behind": _behind(state.fresh, state.bounds()),
         "score": _score_of(study),
         "metrics": _metrics(state.fresh, weights),
         "metric_units": {} if state.fresh is None else dict(state.fresh.units),
@@ -245,6 +249,16 @@ def _score_of(study: Study) -> tuple[str, str]:
     record = study.spec.settings.get("score")
     record = record if isinstance(record, Mapping) else {}
     return str(record.get("name", "return")), str(record.get("unit", ""))
+
+
+def _behind(fresh: FreshReturns | None, bounds: Bounds) -> tuple[tuple[int, str], ...]:
+    if fresh is None or not fresh.baselines:
+        return ()
+    names = list(fresh.baselines)
+    rows = np.array([bounds.normalise(r).mean(axis=1) for r in fresh.baselines.values()])
+    lead = bounds.normalise(fresh.served).mean(axis=1) - rows.max(axis=0)
+    worst_first = np.argsort(lead, kind="stable")  # those that were not played are last
+    return tuple((int(i), names[int(rows[:, i].argmax())]) for i in worst_first if lead[i] < 0.0)
 
 
 def _metrics(fresh: FreshReturns | None, weights: Array) -> dict[str, dict[str, float]]:

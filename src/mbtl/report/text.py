@@ -84,7 +84,7 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
             sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
         out.append(f"{sentence}.")
     out.append(summary.verdict)
-    out += _compared(summary)
+    out += _compared(summary, space)
     out += [_same(group) for group in summary.alike]
     if summary.bill is not None and summary.steps is not None:
         parts = {
@@ -103,8 +103,8 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     return first + out
 
 
-def _compared(summary: StudySummary) -> list[str]:
-    """V and metrics of the policies and of each baseline, a line each."""
+def _compared(summary: StudySummary, space: ContextSpace) -> list[str]:
+    """V and metrics of the policies and of each baseline, a line each; and where one is ahead."""
     if not (summary.baselines or summary.metrics) or summary.fresh_value is None:
         return []
     values = {"policies": summary.fresh_value} | {b.name: b.value for b in summary.baselines}
@@ -117,6 +117,12 @@ def _compared(summary: StudySummary) -> list[str]:
         ]
         name = REFERENCE_NAMES.get(who, who)
         said.append(f"{name}: " + ", ".join([f"V {v:.4f}", summary.returned(v), *rest]))
+    if summary.behind:
+        where, who = summary.behind[0]
+        said.append(
+            f"A baseline did better in {len(summary.behind)} of {summary.fresh_contexts} contexts, "
+            f"most at {space.describe(space.context(where))} ({REFERENCE_NAMES.get(who, who)})."
+        )
     return said
 
 

@@ -49,7 +49,7 @@ class Cost:
         trainings: at most so many; None: the CMDP's, or one on each context.
 
     Raises:
-        InvalidInput: `total` is not a number > 0.
+        InvalidInput: `total` is not a number > 0, or `trainings` no whole number of 1 or more.
     """
 
     total: float
@@ -59,6 +59,8 @@ class Cost:
     def __post_init__(self) -> None:
         if not (is_finite(self.total) and self.total > 0):
             raise InvalidInput(f"total of Cost is a finite number > 0, got {short(self.total)}")
+        if self.trainings is not None and whole("trainings of Cost", self.trainings) < 1:
+            raise InvalidInput(f"trainings of Cost are 1 or more, got {short(self.trainings)}")
 
 
 @dataclass(frozen=True)

@@ -336,6 +336,8 @@ def _costs_of(
         array = floats(given)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
+    if array.shape != (space.n,):
+        raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
     return tuple(array.tolist())
 
 
