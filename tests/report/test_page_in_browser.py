@@ -52,6 +52,21 @@ def probe(browser, tmp_path):
     return probed
 
 
+def test_a_curve_that_does_not_move_is_drawn_flat(probe):
+    study = study_on(picks=1)
+    value = study.value
+    for source in (0, 1):
+        study.tell(source, study.state.rows[0].each)
+    found = probe(
+        page([of_study(study)]),
+        """
+        await plotted("curve");
+        found.range = seen("curve").layout.yaxis.range;
+        """,
+    )
+    assert found["range"] == pytest.approx([value - 0.05, value + 0.05], abs=1e-6)
+
+
 def test_a_study_loads_and_the_slider_moves_through_the_steps(probe):
     study = study_on(picks=5)
     found = probe(

@@ -83,6 +83,7 @@ def test_the_page_speaks_the_unit_of_the_score_context_by_context():
     ]
     np.testing.assert_allclose(subject.columns["fixed time: delay [s/veh]"], 14.0, atol=0.5)
     assert "a mean delay of" in " ".join(subject.headline)
+    assert subject.levels["fixed time"] == pytest.approx(0.8, abs=0.01)  # a line beside the curve
     assert "without training: fixed time 0.80" in " ".join(subject.headline)
     assert content(subject)["columns"]["throughput [veh/h]"].tolist() == [60, 120, 180, 240, 300]
 

@@ -106,7 +106,10 @@ def of_study(study: Study) -> Subject:
         "the episodes that chose, as it was estimated after each training",
         summary.picks,
         {} if curves is None else curves.baselines,
-        {} if curves is None else curves.levels,
+        {
+            **({} if curves is None else curves.levels),
+            **{REFERENCE_NAMES.get(one.name, one.name): one.value for one in summary.baselines},
+        },
         (
             *lines(summary, space),
             *([] if curves is None else [curves.said]),

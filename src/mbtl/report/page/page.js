@@ -233,7 +233,9 @@
         text: item.trained.map((what, j) => `${what}<br>${gained(j)}${item.reasons[j]}`),
         hovertemplate: "after %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
       });
-      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: plain("V") });
+      const heights = traces.flatMap((one) => [...one.y]), low = Math.min(...heights), high = Math.max(...heights);
+      const upright = plain("V", high - low < 0.02 ? { range: [low - 0.05, high + 0.05] } : {}); // rounding is no course
+      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: upright });
     },
 
     policies(i, box) {
