@@ -197,7 +197,7 @@ def _costs(subject: Subject) -> str:
     for pick in failed:
         trace = html.escape(pick.traceback or "no traceback was recorded")
         what = html.escape(f"{pick.trained_on(subject.space)}: {pick.status}")
-        body += f"<details><summary>{what}</summary><pre>{trace}</pre></details>"
+        body += f"<details><summary>{what}</summary><pre tabindex=0>{trace}</pre></details>"
     return f"<section><h2>Costs, times, failures</h2>{body}</section>" if body else ""
 
 
@@ -219,7 +219,7 @@ def _details(kind: str, title: str) -> str:
     """A table that scripts fill when it is opened."""
     return (
         f'<details data-table="{kind}"><summary>{html.escape(title)}</summary>'
-        '<div class="scroll"></div></details>'
+        '<div class="scroll" tabindex=0></div></details>'
     )
 
 
@@ -235,7 +235,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
     )
     return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f'<div class="scroll" tabindex=0><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -245,5 +245,5 @@ def _provenance(record: Any) -> str:
     text = json.dumps(record, indent=2, default=str)
     return (
         "<section><h2>How this was made</h2><details><summary>Recipe, versions, seeds</summary>"
-        f"<pre>{html.escape(text)}</pre></details></section>"
+        f"<pre tabindex=0>{html.escape(text)}</pre></details></section>"
     )
