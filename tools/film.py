@@ -21,16 +21,16 @@ from PIL import Image, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = WIDTH, HEIGHT = 900, 560
-SECONDS = 90.0
+SECONDS = 45.0
 MARGIN, LINE, LETTERS = 16, 18, 13
 COLUMNS, ROWS = 108, 29
 PAPER, INK, PROMPT, FAINT = "#101418", "#d7dde3", "#7fd1a0", "#8a949e"
 COLOURS = 64
 LIMIT = 1_500_000
 
-RUN = "mbtl run cartpole-length"
-BENCH = "mbtl bench --matrix cartpole-length --selectors random,greedy,auto --budget 5"
-REPORT = "mbtl report runs/cartpole-length-full-seed0 -o report.html"
+RUN = "mbtl run pendulum-mass --budget 4"
+BENCH = "mbtl bench --matrix pendulum-mass --selectors random,greedy,specialists --budget 5"
+REPORT = "mbtl report runs/pendulum-mass-full-seed0 -o report.html"
 
 Frame = tuple[Image.Image, float]
 """A picture, and how many seconds it stands."""
@@ -112,7 +112,7 @@ FONT, BOLD = font("DejaVuSansMono"), font("DejaVuSansMono-Bold")
 
 
 def pages(place: Path) -> Iterator[Frame]:
-    """The report in a browser: scrolled through, its slider moved."""
+    """The report in a browser, scrolled through."""
     sys.path.insert(0, str(ROOT / "tests"))
     from report.browser import Browser
 
@@ -135,11 +135,6 @@ def pages(place: Path) -> Iterator[Frame]:
         yield shot("window.scrollTo(0, 0)", 5.0)
         yield shot(part("curve"), 6.0)
         yield shot(part("policies"), 5.0)
-        yield shot(part("model"), 4.0)
-        slider = "document.querySelector('article:not([hidden]) input[type=\"range\"]')"
-        for step in range(int(browser.run(f"{SHOWN} return Number({slider}.max);")) + 1):
-            moved = f'const s = {slider}; s.value = {step}; s.dispatchEvent(new Event("input"));'
-            yield shot(f"{moved} {part('model')}", 3.0)
         yield shot(part("heat"), 5.0)
     finally:
         browser.close()
