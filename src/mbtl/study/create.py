@@ -316,9 +316,10 @@ def _check_same(state: StudyState, given: StudySpec) -> None:
     difference = stored.space.difference(given.space) or first_difference(was, now_record)
     if difference:
         key, old, new = difference
+        how = " (`mbtl run --all` asks for no end before the budget)" if key == "stop_left" else ""
         raise StudyMismatch(
             f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
-            f"got {new!r}; repeat the old setting, or start afresh with --new (or another name)"
+            f"got {new!r}{how}; repeat the old setting, or begin anew with --new (or another name)"
         )
 
 
