@@ -55,3 +55,17 @@ def undrawn(monkeypatch):
     for picture in ("curve", "policy_map"):
         monkeypatch.setattr(f"mbtl.cli.run.{picture}", lambda study, **how: None)
     monkeypatch.setattr("mbtl.cli.run.save", lambda picture, path: path)
+
+
+@pytest.fixture
+def opened():
+    """Simulations and environments that are closed at the end of the test."""
+    made = []
+
+    def opened(one):
+        made.append(one)
+        return one
+
+    yield opened
+    for one in made:
+        one.close()

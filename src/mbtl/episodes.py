@@ -150,6 +150,14 @@ def scatter_of_sum(parts: Array) -> tuple[float, float]:
     return total, max((episodes + 1.0) / float(shares @ shares) - 2.0, 1.0)
 
 
+def margin_of_sum(parts: Array) -> float:
+    """Half a 95 % interval of such a sum; infinite where one episode of each says nothing."""
+    if parts.shape[1] == 1:
+        return float(np.inf)
+    variance, freedom = scatter_of_sum(parts)
+    return student(freedom) * float(np.sqrt(variance))
+
+
 def student(freedom: float) -> float:
     """Half the width of an interval of 95 % in standard errors, by Student's t."""
     from scipy.special import stdtrit  # kept out of `import mbtl`

@@ -9,20 +9,6 @@ if not all(map(find_spec, ("gymnasium", "libsumo", "traci"))):
     collect_ignore_glob = ["test_*.py"]
 
 
-@pytest.fixture
-def opened():
-    """Simulations and environments that are closed at the end of the test."""
-    made = []
-
-    def opened(one):
-        made.append(one)
-        return one
-
-    yield opened
-    for one in made:
-        one.close()
-
-
 FILES = {
     "own.rou.xml": """<routes>
   <vTypeDistribution id="DEFAULT_VEHTYPE">

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -557,20 +556,13 @@ class WorldTrainer:
         names: Sequence[str],
     ) -> dict[str, Array]:
         """In the environments of the problem, one after another."""
-        from mbtl.envs.references import going
-        from mbtl.envs.rollout import Actor, Job, play_counted
+        from mbtl.envs.references import played
+        from mbtl.envs.rollout import Actor
 
         problem: Any = self.problem
+        who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
         make, score = problem.make_env, problem.score
-        score = None if score is None else replace(score, foretold=None)
-        if isinstance(policy, str):
-            actor, make = going(policy, make, contexts[0])
-        else:
-            actor = Actor(policy, self.how == "sampled")
-        pairs = zip(contexts, seeds, strict=True)
-        jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
-        found, _ = play_counted(jobs, actor, max_envs=1)
-        return dict(zip((SCORE, *names), np.moveaxis(np.array(found), -1, 0), strict=True))
+        return played(make, who, contexts, seeds, names, score=score, max_envs=1)[0]
 
     @property
     def _why_no_sets(self) -> str | None:

@@ -8,23 +8,25 @@ its own names them in `ways`, and takes a step of one with `follow(way)`. Many h
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.rollout import Actor
+from mbtl.envs.rollout import Actor, Job, play_counted
 from mbtl.errors import unknown_name
-from mbtl.score import RANDOM_ACTIONS
+from mbtl.score import RANDOM_ACTIONS, SCORE, Score
 
 __all__ = [
     "ByItself",
     "Controller",
     "RandomActions",
     "going",
+    "played",
     "ways_in",
     "ways_of",
 ]
@@ -49,14 +51,51 @@ def going(
     Raises:
         UnknownName: there is no such way.
     """
-    if way not in (known := ways_in(make_env, context)):
-        raise unknown_name("way", way, known)
     env = make_env(context)
-    space = env.action_space
-    policy = RandomActions(space("") if callable(space) else space)
+    known, space = (RANDOM_ACTIONS, *ways_of(env)), env.action_space
     env.close()
+    if way not in known:
+        raise unknown_name("way", way, known)
+    policy = RandomActions(space("") if callable(space) else space)
     make = make_env if way == RANDOM_ACTIONS else partial(_by_itself, make_env, way)
     return Actor(policy, sampled=True), make
+
+
+def played(
+    make_env: Callable[[Context], Any],
+    who: Actor | str,
+    contexts: Sequence[Context],
+    seeds: Sequence[Sequence[int]],
+    names: Sequence[str] = (),
+    *,
+    score: Score | None,
+    max_envs: int,
+) -> tuple[dict[str, Array], Array]:
+    """What the last steps of episodes tell, by name, and the steps that each had.
+
+    Args:
+        make_env: context -> environment.
+        who: acts there, or one of its `ways_in`.
+        contexts: n of them.
+        seeds: (n, E) of the episodes in each.
+        names: of measures beside the score. Episodes are then played to their end also where their
+            score is foretold.
+        score: what an episode is worth; None: the sum of its rewards.
+        max_envs: environments alive at once.
+
+    Returns:
+        (n, E) each, the score among them; and (n, E) steps.
+    """
+    if names and score is not None:
+        score = replace(score, foretold=None)
+    actor, make = going(who, make_env, contexts[0]) if isinstance(who, str) else (who, make_env)
+    pairs = zip(contexts, seeds, strict=True)
+    jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
+    found, lasted = play_counted(jobs, actor, max_envs=max_envs)
+    told = {
+        name: np.array([rows[:, k] for rows in found]) for k, name in enumerate((SCORE, *names))
+    }
+    return told, np.array(lasted)
 
 
 @dataclass(frozen=True)

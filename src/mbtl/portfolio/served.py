@@ -12,7 +12,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.episodes import scatter_of_sum, student
+from mbtl.episodes import margin_of_sum
 from mbtl.objective import Bounds
 from mbtl.portfolio.router import Choice
 from mbtl.routing import SURE
@@ -54,11 +54,7 @@ class Served:
         if self.drawn:
             spread = float(self.performances.std(ddof=1)) if len(self.contexts) > 1 else math.inf
             return SURE * spread / math.sqrt(len(self.contexts))
-        if self.returns.shape[1] == 1:
-            return math.inf
-        parts = self.bounds.normalise(self.returns) / len(self.contexts)
-        variance, freedom = scatter_of_sum(parts)
-        return student(freedom) * math.sqrt(variance)
+        return margin_of_sum(self.bounds.normalise(self.returns) / len(self.contexts))
 
     @property
     def expected(self) -> Array:

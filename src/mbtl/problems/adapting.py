@@ -12,7 +12,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
-from mbtl.episodes import scatter_of_sum, student
+from mbtl.episodes import episode_moments, margin_of_sum
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.portfolio import Choice, Portfolio
 from mbtl.problems.cmdp import CMDP
@@ -104,11 +104,7 @@ def adapt(
         for policy in (begun, trained.policy)
     )
     leads = portfolio.bounds.normalise(after) - portfolio.bounds.normalise(before)
-    margin = np.inf
-    if len(leads) > 1:
-        variance, freedom = scatter_of_sum(leads[None, :])
-        margin = student(freedom) * float(np.sqrt(variance))
-    lead = float(leads.mean())
+    lead, margin = float(leads.mean()), margin_of_sum(leads[None, :])
     return Adapted(target, choice, trained.policy, length, before, after, lead, margin)
 
 
@@ -154,7 +150,7 @@ def with_adapted(
             portfolio,
             space=space,
             sources=(*portfolio.sources, space.index(adapted.target)),
-            returns=np.array([_means(each) for each in (*padded, row)]),
+            returns=np.array([episode_moments(each)[0] for each in (*padded, row)]),
             episodes=(*padded, row) if portfolio.episodes else (),
             policy_folders=(*portfolio.policy_folders, Path(place) if saved else None),
             in_memory={**portfolio.in_memory, k: adapted.policy},
@@ -185,15 +181,6 @@ def _with_target(portfolio: Portfolio, adapted: Adapted) -> tuple[ContextSpace, 
         some = adapted.before[: served.shape[1]]
         served[home, : len(some)] = some if portfolio.episodes else adapted.before.mean()
     return space, known
-
-
-def _means(each: Array) -> Array:
-    """(N,) of (N, E) episodes; NaN where there is none."""
-    there = np.isfinite(each)
-    count = there.sum(axis=1)
-    return np.where(
-        count > 0, np.where(there, each, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan
-    )
 
 
 def nearest_listed(portfolio: Portfolio, context: Mapping[str, Value]) -> int:

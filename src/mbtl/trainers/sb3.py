@@ -16,8 +16,8 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.references import going, ways_in
-from mbtl.envs.rollout import Job, end, one_instance, play_counted
+from mbtl.envs.references import played, ways_in
+from mbtl.envs.rollout import end, one_instance
 from mbtl.errors import InvalidInput, Notice, unknown_name
 from mbtl.processes import usable_cores
 from mbtl.score import SCORE, Score
@@ -292,9 +292,9 @@ class SB3Trainer:
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
-        found, lasted = self._play(policy, contexts, seeds)
+        told, lasted = self._play(policy, contexts, seeds)
         shape = (len(contexts), self.eval_episodes)
-        returns = np.reshape([rows[:, 0] for rows in found], shape)
+        returns = np.reshape(told[SCORE], shape)
         return checked_returns(returns, len(contexts)), np.reshape(lasted, shape)
 
     def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
@@ -312,8 +312,7 @@ class SB3Trainer:
 
         Episodes are played to their end also where their score is foretold.
         """
-        found, _ = self._play(policy, contexts, seeds, names)
-        return dict(zip((SCORE, *names), np.moveaxis(np.array(found), -1, 0), strict=True))
+        return self._play(policy, contexts, seeds, names)[0]
 
     def _play(
         self,
@@ -321,20 +320,15 @@ class SB3Trainer:
         contexts: Sequence[Context],
         seeds: Sequence[int] | int,
         names: Sequence[str] = (),
-    ) -> tuple[list[Array], list[Array]]:
-        """Per context (episodes, 1 + names), the score first; and how many steps each had."""
-        each, score = episode_seeds(seeds, len(contexts), self.eval_episodes), self._score
-        if names and score is not None:
-            score = replace(score, foretold=None)
+    ) -> tuple[dict[str, Array], Array]:
+        """See `mbtl.envs.references.played`."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         with isolated(self.threads):
             make, most = self._evaluation(contexts)
-            if isinstance(policy, str):
-                actor, make = going(policy, make, contexts[0])
-            else:
-                actor = actor_for(policy, sampled=self.acting == "sampled")
-            pairs = zip(contexts, each, strict=True)
-            jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
-            return play_counted(jobs, actor, max_envs=most)
+            who = policy
+            if not isinstance(policy, str):
+                who = actor_for(policy, sampled=self.acting == "sampled")
+            return played(make, who, contexts, each, names, score=self._score, max_envs=most)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
