@@ -1,7 +1,6 @@
 """SUMO in processes as a world: what the engine plays there is what the environments play."""
 
 import os
-import signal
 
 import numpy as np
 import pytest
@@ -40,16 +39,23 @@ def test_a_policy_and_traffic_without_one_score_as_in_the_environments(id):
     np.testing.assert_allclose(*free, rtol=1e-5)
 
 
+DIE_IN_MID_EPISODE = """
+import os, signal
+from mbtl.engine import scene
+scene._served.step = lambda action: os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
 def test_a_simulator_that_dies_fails_its_training_and_the_next_one_runs():
     school = trainer("ring-acc", "sumo-jax", **{**SHORT, "episodes": 4})
     killed = []
 
-    def kill(progress):
+    def kill(progress):  # between two episodes, where a process that has died is only replaced
         if killed:
             return
         world, _ = school.problem([HOLD])
         killed.extend(processes._crew(world.scene, os.getpid()))
-        os.kill(killed[0].submit(os.getpid).result(), signal.SIGKILL)
+        killed[0].submit(exec, DIE_IN_MID_EPISODE, {}).result()
 
     with (
         pytest.warns(RuntimeWarning, match="a simulation failed"),
