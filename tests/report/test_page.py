@@ -140,7 +140,7 @@ def test_a_page_begins_with_v_as_a_return_and_ends_in_what_to_do(tmp_path):
         )
     text = page([of_study(study)])
     v = study.value
-    assert f'<p class="value">V = {v:.3f}</p><p>a mean return of {200 * v:.4g} over' in text
+    assert f'<p class="value">V = {v:.3f}</p><p>mean return {200 * v:.4g} over' in text
     worst = int(study.routing.served.argmin())
     listed = re.search(r"<h2>Served worst</h2>.*?</section>", text, re.DOTALL)[0]
     assert listed.index(SPACE.describe(SPACE.context(worst))) < listed.index("policy")

@@ -82,8 +82,8 @@ def test_a_study_loads_and_the_slider_moves_through_the_steps(probe):
         input.dispatchEvent(new Event("input"));
         found.second = believed();
         found.said = document.querySelector("output").textContent;
-        found.dots = named("trained").x.length;
-        found.sides = seen("policies").data.find((t) => t.name === "trained").textposition;
+        found.dots = named("trained here").x.length;
+        found.sides = seen("policies").data.find((t) => t.name === "trained here").textposition;
         const key = new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true });
         document.body.dispatchEvent(key);
         found.after = document.querySelector("output").textContent;
@@ -144,8 +144,9 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
         found.pairs = (await plotted("pairs")).length;
         await plotted("model");
         found.model = seen("model").data[0].z.length;
+        choose(selects[0], "2");
+        found.third = box.data[0].z.map((row) => Array.from(row));
         choose(document.getElementById("which"), "1");
-        found.cells = (await plotted("heat"))[0].z.length;
         found.wide = document.documentElement.scrollWidth;
         """,
         width=390,
@@ -159,7 +160,8 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
     assert found["turned"] == ["wet", "dry"]
     assert found["pairs"] == 3
     assert found["model"] == 2  # the model's map follows the policies'
-    assert found["cells"] == 24
+    third = study.history.rows[2].reshape(4, 3, 2)[:, 1].T
+    np.testing.assert_allclose(found["third"], third, atol=1e-3)
     assert found["wide"] <= 390
 
 

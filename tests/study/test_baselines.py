@@ -68,7 +68,7 @@ def test_the_first_line_says_whether_training_is_worth_it():
     first, *rest = lines(summary, SPACE)
     assert first.startswith("Training is worth it: 0.")
     assert "ahead of 'fixed time' (V 0.80" in first
-    assert "a mean delay of 1" in first
+    assert "mean delay 1" in first
     assert "s/veh" in first
     assert any(line.startswith("policies: V ") and "throughput 180 veh/h" in line for line in rest)
     assert any(line.startswith("fixed time: V 0.80") for line in rest)
@@ -82,9 +82,14 @@ def test_the_page_speaks_the_unit_of_the_score_context_by_context():
         "fixed time: delay [s/veh]",
     ]
     np.testing.assert_allclose(subject.columns["fixed time: delay [s/veh]"], 14.0, atol=0.5)
-    assert "a mean delay of" in " ".join(subject.headline)
+    assert "mean delay 1" in " ".join(subject.headline)
     assert subject.levels["fixed time"] == pytest.approx(0.8, abs=0.01)  # a line beside the curve
-    assert "without training: fixed time 0.80" in " ".join(subject.headline)
+    heads, policies, fixed = subject.beside
+    assert heads == ["", "V", "delay [s/veh]", "throughput [veh/h]"]
+    assert policies[0] == "policies"
+    assert fixed[0] == "fixed time"
+    assert float(fixed[2]) == pytest.approx(14.0, abs=0.5)
+    np.testing.assert_allclose(subject.served, summarise_study(ran(2)).served)
     assert content(subject)["columns"]["throughput [veh/h]"].tolist() == [60, 120, 180, 240, 300]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.contexts import Categorical, ContextSpace, Log
+from mbtl.history import History
 from mbtl.plot.style import distinct
 from mbtl.report.subject import Subject
 from mbtl.routing import Routing, rank
@@ -27,6 +28,7 @@ def content(subject: Subject) -> dict[str, Any]:
         "isGrid": space.shape is not None,
         "n": space.n,
         "sources": list(history.sources),
+        "kinds": [kind_of(history, row) for row in range(len(history))],
         "trained": [pick.trained_on(space) for pick in told],
         "reasons": [pick.reason for pick in told],
         "curve": {"values": list(subject.values), "units": list(subject.units)},
@@ -40,6 +42,16 @@ def content(subject: Subject) -> dict[str, Any]:
     if (routing := subject.routing) is not None:
         found |= {"served": served_by(routing), "steps": _steps(subject)}
     return found
+
+
+def kind_of(history: History, row: int) -> str:
+    """Whether the policy of a row is of several contexts, a tuned copy, or a specialist."""
+    made = history.made(row)
+    if len(made.contexts) > 1:
+        return "several"
+    if made.start is None:
+        return "specialist"
+    return kind_of(history, made.start) if made.goes_on else "tuned"
 
 
 def axes_of(space: ContextSpace) -> list[dict[str, Any]]:

@@ -102,6 +102,7 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
         f'<p class="facts">{html.escape(facts)}</p>',
         _headline(subject),
         *(f"<p>{html.escape(line)}</p>" for line in subject.sentences),
+        _beside(subject),
         _next(subject),
     ]
     if told:
@@ -115,7 +116,8 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
         if np.isfinite(item["steps"]["mean"]).any():
             believed = f"What the model believed ({item['steps']['model']})"
             parts.append(_section("model", believed, _SCORE))
-        parts.append(_section("heat", "Transfer: every policy on every context", ""))
+        if len(space.axes) == 1:  # on several, the map of policies shows them one by one
+            parts.append(_section("heat", "Transfer: every policy on every context", ""))
         if space.d > 2:
             parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
     return "\n".join([*parts, _costs(subject), _provenance(subject.provenance), "</article>"])
@@ -127,6 +129,13 @@ def _headline(subject: Subject) -> str:
     first, *others = subject.headline
     rest = "".join(f"<p>{html.escape(line)}</p>" for line in others)
     return f'<div class="headline"><p class="value">{html.escape(first)}</p>{rest}</div>'
+
+
+def _beside(subject: Subject) -> str:
+    if not subject.beside:
+        return ""
+    heads, *rows = subject.beside
+    return f"<section><h2>Beside what needs no training</h2>{_table(heads, rows)}</section>"
 
 
 def _next(subject: Subject) -> str:
@@ -142,7 +151,7 @@ def _badly_served(subject: Subject) -> str:
     routing, space = subject.routing, subject.space
     if routing is None or space.n <= _WORST:
         return ""
-    served = routing.served
+    served = routing.served if subject.served is None else subject.served
     rows = [
         [
             space.describe(space.context(int(i))),
@@ -171,7 +180,7 @@ def _picks(subject: Subject) -> str:
                 pick.reason if pick.status == "told" else pick.status,
             ]
         )
-    heads = ["k", "trained on", "V", "gained", "promised", "why"]
+    heads = ["policy", "trained on", "V", "gained", "promised", "why"]
     note = (
         "<p>Gained: by how much V rose. Promised: the gain that the selector expected when it "
         "chose, if it says one; the rules of the paper are optimistic on purpose.</p>"
@@ -189,7 +198,8 @@ def _costs(subject: Subject) -> str:
             f"{len(seconds)} trainings with their evaluations took {sum(seconds) / 60:.1f} "
             f"minutes, the longest {max(seconds) / 60:.1f}."
         )
-    if any(cost != 1.0 for cost in costs):  # 1 is what a study counts that knows no costs
+    units = float(subject.units[-1]) if len(subject.units) else 0.0
+    if costs and abs(sum(costs) - units) > 1e-9:  # where nobody counts costs, they are the units
         lines.append(f"The trainings cost {sum(costs):g} in the unit of the study.")
     count = f"{len(failed)} training{'s' * (len(failed) != 1)} failed."
     lines.append(count if failed else "No training failed." if subject.kind == "study" else "")

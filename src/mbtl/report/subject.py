@@ -5,7 +5,7 @@ Notation (shapes): k policies told, N contexts, S matrix seeds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -18,7 +18,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.report.reference import REFERENCE_NAMES, reference_curves
 from mbtl.report.summary import StudySummary, summarise_study
-from mbtl.report.text import lines
+from mbtl.report.text import beside_table, conclusions, fresh_episodes, paid, scale
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import Study, Training
@@ -47,7 +47,9 @@ class Subject:
         sources: (M,) of those.
         provenance: how all this was made.
         finished: nothing will change any more.
-        headline: what comes first: V, and the same as a return, beside what needs no training.
+        headline: what comes first: V, the same as a return, and how it is known.
+        beside: the policies and what needs no training, as cells, the heads first.
+        served: (N,) performance of the serving policies, as the sentences have it.
         next_steps: what to do now and its command, in that order.
         columns: what the table of contexts shows beside performance, (N,) by head.
     """
@@ -71,6 +73,8 @@ class Subject:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     finished: bool = True
     headline: tuple[str, ...] = ()
+    beside: Sequence[Sequence[str]] = ()
+    served: Array | None = None
     next_steps: tuple[tuple[str, str], ...] = ()
     columns: Mapping[str, Array] = field(default_factory=dict)
 
@@ -111,12 +115,16 @@ def of_study(study: Study) -> Subject:
             **{REFERENCE_NAMES.get(one.name, one.name): one.value for one in summary.baselines},
         },
         (
-            *lines(summary, space),
+            *conclusions(summary, space),
             *([] if curves is None else [curves.said]),
+            *scale(summary),
+            *paid(summary),
         ),
         provenance=made,
         finished=study.is_finished,
-        headline=_headline(study, summary, {} if curves is None else curves.levels),
+        headline=_headline(summary),
+        beside=beside_table(summary),
+        served=np.array(summary.served) if known else None,
         next_steps=_next_steps(study, summary),
         columns=_columns(study, summary),
     )
@@ -139,18 +147,17 @@ def _columns(study: Study, summary: StudySummary) -> dict[str, Array]:
     }
 
 
-def _headline(study: Study, summary: StudySummary, levels: Mapping[str, float]) -> tuple[str, ...]:
-    """V with its interval, the mean return that it is, and V of what needs no training."""
+def _headline(summary: StudySummary) -> tuple[str, ...]:
+    """V with its interval, the mean return that it is, and what it is measured on."""
     fresh = summary.fresh_value is not None
     v = summary.fresh_value if fresh else summary.value
     if v is None:
         return ()
     margin = summary.fresh_margin if fresh else summary.value_margin
     bar = f" +- {margin:.3f}" if margin else ""
-    said = [f"V = {v:.3f}{bar}", f"{summary.returned(v)} over the contexts"]
-    own = {REFERENCE_NAMES.get(one.name, one.name): one.value for one in summary.baselines}
-    without = [f"{name} {value:.3f}" for name, value in (own or levels).items()]
-    return (*said, *([f"without training: {', '.join(without)}"] if without else []))
+    how = f"measured on {fresh_episodes(summary)}" if fresh else "estimated while it runs"
+    how += "; +- is half a 95 % interval" if bar else ""
+    return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over the contexts", how
 
 
 def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], ...]:

@@ -66,6 +66,7 @@ class StudySummary:
         single_gain_margin: half its 95 % interval; None where unknown.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
         serving: (N,) place of the policy that serves each context.
+        served: (N,) performance there, on fresh episodes where there are any, else as believed.
         baselines: what V is compared with, on the same fresh episodes.
         behind: contexts where a baseline did better than the policy that serves, by its mean over
             the fresh episodes, the worst first; and which one.
@@ -108,6 +109,7 @@ class StudySummary:
     served_by_others: int | None
     most_needed: str | None
     serving: tuple[int, ...]
+    served: tuple[float, ...]
     baselines: tuple[Baseline, ...]
     behind: tuple[tuple[int, str], ...]
     score: tuple[str, str]
@@ -124,11 +126,15 @@ class StudySummary:
         """Those whose rows are known."""
         return [pick for pick in self.picks if pick.place is not None]
 
-    def returned(self, performance: float) -> str:
-        """What a performance is in the unit of the score, e.g. "a mean delay of 21.3 s/veh"."""
+    def score_of(self, performance: float) -> float:
+        """The score that a performance is."""
         low, high = self.bounds
+        return low + performance * (high - low)
+
+    def returned(self, performance: float) -> str:
+        """What a performance is in the unit of the score, e.g. "mean delay 21.3 s/veh"."""
         name, unit = self.score
-        said = f"a mean {name} of {low + performance * (high - low):.4g}"
+        said = f"mean {name} {self.score_of(performance):.4g}"
         return f"{said} {unit}" if unit else said
 
     @property
@@ -205,7 +211,7 @@ def summarise_study(study: Study) -> StudySummary:
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
-        return StudySummary(**{**empty, "alike": (), "serving": (), **common})
+        return StudySummary(**{**empty, "alike": (), "serving": (), "served": (), **common})
     routing, known = study.routing, study.routing.noise_is_known
     now = routing.value
     if fresh is None:
@@ -241,6 +247,7 @@ def summarise_study(study: Study) -> StudySummary:
         served_by_others=int((routing.route != best_single).sum()),
         most_needed=space.describe(space.context(int(others.argmax()))),
         serving=tuple(routing.route.tolist()),
+        served=tuple(served.tolist()),
     )
 
 

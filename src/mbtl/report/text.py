@@ -57,35 +57,93 @@ def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> 
 
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
-    worst, best = summary.bounds
-    first = [summary.worth_it] if summary.worth_it else []
-    name, unit = summary.score
-    what = f"{worst:g} {unit}".rstrip()
-    out = [f"Scores are scaled: a {name} of {what} counts as 0, one of {best:g} as 1."]
-    if summary.episodes is not None and summary.evaluated is not None:
-        out[0] += f" {_evaluated(summary)}."
-    if summary.automatic_bounds:
-        out.append(
-            "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."
-        )
-    if summary.fresh_value is not None:
-        out.append(
-            f"V = {_with_margin(summary.fresh_value, summary.fresh_margin)} on {_fresh(summary)}."
-        )
-    elif summary.value is not None and summary.measured is not None:
-        out.append(
-            f"V = {_with_margin(summary.value, summary.value_margin)}, estimated from the episodes "
-            f"that chose the policies{_extrapolated(summary.measured)}."
-        )
+    first, *rest = conclusions(summary, space)
+    if summary.worth_it:
+        return [first, *scale(summary), *estimate(summary), *rest, *beside(summary), *paid(summary)]
+    return [*scale(summary), *estimate(summary), first, *rest, *beside(summary), *paid(summary)]
+
+
+def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:
+    """Whether training was worth it, whether one policy would do, and where little is reached."""
+    out = [summary.worth_it] if summary.worth_it else []
+    out.append(summary.verdict)
     if summary.worst_tenth is not None:
         sentence = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
         if summary.worst_context is not None and summary.worst_context_value is not None:
             where = space.describe(space.context(summary.worst_context))
             sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
         out.append(f"{sentence}.")
-    out.append(summary.verdict)
-    out += _compared(summary, space)
-    out += [_same(group) for group in summary.alike]
+    if summary.behind:
+        place, who = summary.behind[0]
+        out.append(
+            f"A baseline did better in {len(summary.behind)} of {summary.fresh_contexts} contexts, "
+            f"most at {space.describe(space.context(place))} ({REFERENCE_NAMES.get(who, who)})."
+        )
+    return out + [_same(group) for group in summary.alike]
+
+
+def scale(summary: StudySummary) -> list[str]:
+    """What performance 0 and 1 are, and how much was played."""
+    worst, best = summary.bounds
+    name, unit = summary.score
+    what = f"{worst:g} {unit}".rstrip()
+    said = f"Scores are scaled: {name} {what} counts as 0, {best:g} as 1."
+    if summary.episodes is not None and summary.evaluated is not None:
+        said += f" {_evaluated(summary)}."
+    bounds = "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."
+    return [said, bounds] if summary.automatic_bounds else [said]
+
+
+def estimate(summary: StudySummary) -> list[str]:
+    """V, and by which episodes."""
+    if summary.fresh_value is not None:
+        v = _with_margin(summary.fresh_value, summary.fresh_margin)
+        return [f"V = {v} on {fresh_episodes(summary)}."]
+    if summary.value is None or summary.measured is None:
+        return []
+    v = _with_margin(summary.value, summary.value_margin)
+    how = f"estimated from the episodes that chose the policies{_extrapolated(summary.measured)}"
+    return [f"V = {v}, {how}."]
+
+
+def beside(summary: StudySummary) -> list[str]:
+    """V and metrics of the policies and of each baseline, a line each."""
+    if not (summary.baselines or summary.metrics) or summary.fresh_value is None:
+        return []
+    said = []
+    for who, v in _values(summary).items():
+        rest = [
+            f"{name} {mean:.4g} {summary.metric_units[name]}".rstrip()
+            for name, mean in summary.metrics.get(who, {}).items()
+        ]
+        name = REFERENCE_NAMES.get(who, who)
+        said.append(f"{name}: " + ", ".join([f"V {v:.4f}", summary.returned(v), *rest]))
+    return said
+
+
+def beside_table(summary: StudySummary) -> list[list[str]]:
+    """The same as cells, the heads first; empty where there is nothing to compare with."""
+    if not summary.baselines or summary.fresh_value is None:
+        return []
+    names = list(dict.fromkeys(name for told in summary.metrics.values() for name in told))
+    heads = [summary.score, *((name, summary.metric_units[name]) for name in names)]
+    rows = [["", "V", *(f"{name} [{unit}]" if unit else name for name, unit in heads)]]
+    for who, v in _values(summary).items():
+        own = summary.metrics.get(who, {})
+        told = [f"{own[name]:.4g}" if name in own else "–" for name in names]
+        score = f"{summary.score_of(v):.4g}"
+        rows.append([REFERENCE_NAMES.get(who, who), f"{v:.4f}", score, *told])
+    return rows
+
+
+def _values(summary: StudySummary) -> dict[str, float]:
+    assert summary.fresh_value is not None
+    return {"policies": summary.fresh_value} | {one.name: one.value for one in summary.baselines}
+
+
+def paid(summary: StudySummary) -> list[str]:
+    """What was spent, and why it ended."""
+    out = []
     if summary.bill is not None and summary.steps is not None:
         parts = {
             "trainings": summary.bill["training"],
@@ -100,30 +158,7 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         out.append(f"Spent: {summary.spent}.")
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
-    return first + out
-
-
-def _compared(summary: StudySummary, space: ContextSpace) -> list[str]:
-    """V and metrics of the policies and of each baseline, a line each; and where one is ahead."""
-    if not (summary.baselines or summary.metrics) or summary.fresh_value is None:
-        return []
-    values = {"policies": summary.fresh_value} | {b.name: b.value for b in summary.baselines}
-    said = []
-    for who, v in values.items():
-        told = summary.metrics.get(who, {})
-        rest = [
-            f"{name} {mean:.4g} {summary.metric_units[name]}".rstrip()
-            for name, mean in told.items()
-        ]
-        name = REFERENCE_NAMES.get(who, who)
-        said.append(f"{name}: " + ", ".join([f"V {v:.4f}", summary.returned(v), *rest]))
-    if summary.behind:
-        where, who = summary.behind[0]
-        said.append(
-            f"A baseline did better in {len(summary.behind)} of {summary.fresh_contexts} contexts, "
-            f"most at {space.describe(space.context(where))} ({REFERENCE_NAMES.get(who, who)})."
-        )
-    return said
+    return out
 
 
 def _evaluated(summary: StudySummary) -> str:
@@ -152,7 +187,8 @@ def _same(group: tuple[int, ...]) -> str:
     )
 
 
-def _fresh(summary: StudySummary) -> str:
+def fresh_episodes(summary: StudySummary) -> str:
+    """How many there were."""
     count, played = summary.fresh_episodes or 0, summary.fresh_contexts or 0
     where = "per context"
     if played < summary.n_contexts:

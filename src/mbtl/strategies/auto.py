@@ -157,8 +157,9 @@ class Auto:
                 scatter = max(abs(last) / 2.0, error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
             in_all = rise * np.log2((made.length + standing.left) / made.length)
+        promised = None if standing.begins else gain
         proposal = Proposal(
-            history.sources[row], reason, gain, start=row, length=length, sources=made.contexts,
+            history.sources[row], reason, promised, start=row, length=length, sources=made.contexts,
             chance_left=_chance(problem.least_left, in_all, scatter),
         )  # fmt: skip
         return Option(proposal, gain, more)

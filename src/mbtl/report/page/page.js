@@ -56,6 +56,9 @@
   const named = (axis, value) => (axis.choices ? axis.choices[value] : short(value) + (axis.unit ? " " + axis.unit : ""));
   const describe = (item, i) => item.axes.map((axis) => `${axis.name} = ${named(axis, axis.values[i])}`).join(", ");
   const home = (item, p) => "trained on " + item.trained[p];
+  /* Policies with a place of their own: one that was trained on several contexts has none. */
+  const placed = (item, last = item.sources.length) => item.sources.map((_, p) => p).slice(0, last).filter((p) => item.kinds[p] !== "several");
+  const KINDS = [["several", "one policy for several contexts", "square"], ["specialist", "a specialist", "circle"], ["tuned", "a tuned copy", "diamond"]];
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
   function axisOf(axis, more = {}) {
@@ -119,7 +122,7 @@
   /* The policy of a cell; none of several is shown for all. */
   const only = (values) => (those) => (new Set(those.map((i) => values[i])).size === 1 ? values[those[0]] : null);
 
-  function mapTraces(item, view, values, { kind, label, range, taken }) {
+  function mapTraces(item, view, values, { kind, label, range, taken }) { // taken: numbers of policies
     const { x, y, fixed: held } = view, policies = kind === "policy", colours = item.served.colours;
     const scale = policies ? colours.flatMap((c, p) => [[p / colours.length, c], [(p + 1) / colours.length, c]]) : SCALE;
     if (policies) values = Array.from(values, (p) => p + 1); // people count from 1
@@ -144,8 +147,8 @@
       });
     }
     const places = new Map(); // in a projection several sources may stand at one place
-    taken.forEach((s, p) => {
-      const at = [x, y].map((q) => item.axes[q].values[s]), one = places.get(String(at)) || { at, numbers: [], said: [] };
+    taken.forEach((p) => {
+      const at = [x, y].map((q) => item.axes[q].values[item.sources[p]]), one = places.get(String(at)) || { at, numbers: [], said: [] };
       one.numbers.push(p + 1);
       one.said.push(`${p + 1}: ${home(item, p)}`);
       places.set(String(at), one);
@@ -173,7 +176,7 @@
     const item = state.items[i], view = mapOf(i), box = controls(i, part);
     if (box.childElementCount) return;
     view.show[part] = quantities[0][0];
-    box.append(select("Show", quantities, quantities[0][0], (v) => { view.show[part] = v; redraw(i, [part, "pairs"]); }));
+    box.append(select("Show", quantities, quantities[0][0], (v) => { view.show[part] = v; redraw(i, [part]); }));
     if (item.axes.length < 3) return;
     const axes = item.axes.map((axis, q) => [q, axis.name]);
     for (const side of ["x", "y"]) {
@@ -235,60 +238,67 @@
       });
       const heights = traces.flatMap((one) => [...one.y]), low = Math.min(...heights), high = Math.max(...heights);
       const upright = plain("V", high - low < 0.02 ? { range: [low - 0.05, high + 0.05] } : {}); // rounding is no course
-      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: upright });
+      return draw(box, traces, { xaxis: plain(item.kind === "study" ? "units of training spent" : "trainings", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: upright });
     },
 
     policies(i, box) {
       const item = state.items[i], { policy, performance, runnerUp, runnerUpPerformance: second } = item.served;
       const { colours } = item.served, margin = Array.from(performance, (v, j) => v - second[j]);
       if (item.axes.length > 1) {
-        mapControls(i, "policies", [["policy", "policy"], ["performance", "performance"], ["margin", "lead over the runner-up"]]);
-        const view = mapOf(i), show = view.show.policies, values = { policy, performance, margin }[show];
-        const label = { policy: "policy", performance: "performance", margin: "lead" }[show];
-        return draw(box, mapTraces(item, view, values, { kind: show, label, range: range([values]), taken: item.sources }), mapLook(item, view));
+        const own = item.rows.map((_, p) => [p, `policy ${p + 1} everywhere`]);
+        mapControls(i, "policies", [["policy", "policy"], ["performance", "performance"], ["margin", "lead over the runner-up"], ...own]);
+        const view = mapOf(i), show = view.show.policies, values = { policy, performance, margin }[show] ?? item.rows[show];
+        const label = { policy: "policy", margin: "lead" }[show] ?? "performance";
+        return draw(box, mapTraces(item, view, values, { kind: show, label, range: range([values]), taken: placed(item) }), mapLook(item, view));
       }
       const axis = item.axes[0], order = sorted(axis.values), x = order.map((j) => axis.values[j]);
       const traces = [
         { x, y: order.map((j) => second[j]), mode: "lines", name: "runner-up", line: { width: 1, dash: "dot", color: css("--soft") }, hoverinfo: "skip" },
-        {
-          x, y: order.map((j) => performance[j]), mode: "lines+markers", name: "serving policy", line: { width: 0.6, color: css("--soft") },
-          marker: { size: 8, symbol: "square", color: order.map((j) => colours[policy[j]]) },
-          text: order.map((j) => `${describe(item, j)}<br>policy ${policy[j] + 1}, ${home(item, policy[j])}` +
+        { x, y: order.map((j) => performance[j]), mode: "lines", line: { width: 0.6, color: css("--soft") }, hoverinfo: "skip", showlegend: false },
+      ];
+      for (const [kind, name, symbol] of KINDS) {
+        const own = order.filter((j) => item.kinds[policy[j]] === kind);
+        if (own.length) traces.push({
+          x: own.map((j) => axis.values[j]), y: own.map((j) => performance[j]), mode: "markers", name: "served by " + name,
+          marker: { size: 8, symbol, color: own.map((j) => colours[policy[j]]) },
+          text: own.map((j) => `${describe(item, j)}<br>policy ${policy[j] + 1}, ${home(item, policy[j])}` +
             (runnerUp[j] < 0 ? "" : `<br>runner-up: policy ${runnerUp[j] + 1}, ${fixed(second[j])}`)),
           hovertemplate: "%{text}<br>performance %{y:.4f}<extra></extra>",
-        },
-        {
-          x: item.sources.map((s) => axis.values[s]), y: item.sources.map((s) => performance[s]), mode: "markers+text", name: "trained",
-          text: item.sources.map((_, p) => p + 1), textposition: sides(item.sources.map((s) => axis.values[s])), cliponaxis: false, hovertext: item.sources.map((_, p) => home(item, p)), hoverinfo: "text",
-          marker: { size: 12, color: item.sources.map((_, p) => colours[p]), line: { color: css("--ink"), width: 1.5 } },
-        },
-      ];
+        });
+      }
+      const at = placed(item), homes = at.map((p) => axis.values[item.sources[p]]);
+      traces.push({
+        x: homes, y: at.map((p) => performance[item.sources[p]]), mode: "markers+text", name: "trained here",
+        text: at.map((p) => p + 1), textposition: sides(homes), cliponaxis: false, hovertext: at.map((p) => home(item, p)), hoverinfo: "text",
+        marker: { size: 13, symbol: "circle-open", color: css("--ink"), line: { width: 1.5 } },
+      });
       return draw(box, traces, { xaxis: axisOf(axis), yaxis: plain("performance", { range: wider(range([performance, second])) }) });
     },
 
     model(i, box) {
       const item = state.items[i], steps = item.steps, last = item.sources.length;
       if (!controls(i, "model").querySelector("input")) slider(i, last);
-      const j = state.steps[i] - 1, taken = item.sources.slice(0, j + 1), coming = item.sources[j + 1];
+      const j = state.steps[i] - 1, taken = placed(item, j + 1), coming = j + 1 < last ? j + 1 : undefined;
       controls(i, "model").querySelector("output").textContent = `after ${j + 1} of ${last}` +
-        (coming === undefined ? "" : `; next pick: ${item.trained[j + 1]}`);
+        (coming === undefined ? "" : `; next pick: ${item.trained[coming]}`);
       if (item.axes.length > 1) {
         const view = mapOf(i), show = view.show.model, label = { mean: "mean", std: "deviation", gain: "score", served: "performance" }[show];
         return draw(box, mapTraces(item, view, steps[show][j], { kind: show, label, range: range(steps[show]), taken }), mapLook(item, view));
       }
       const axis = item.axes[0], order = sorted(axis.values), x = order.map((c) => axis.values[c]);
       const of = (rows) => order.map((c) => rows[j][c]), middle = of(steps.mean), wide = of(steps.std);
-      const gain = of(steps.gain), accent = css("--accent"), ends = modelRange(item, j);
+      const gain = of(steps.gain), accent = css("--accent"), ends = modelRange(item, j), homes = taken.map((p) => axis.values[item.sources[p]]);
       const traces = [
         { x, y: middle.map((m, c) => m - 1.96 * wide[c]), mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false },
         { x, y: middle.map((m, c) => m + 1.96 * wide[c]), mode: "lines", line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(0,114,178,0.18)", name: "95 % band", hoverinfo: "skip" },
         { x, y: middle, mode: "lines", name: "believed", line: { color: accent, width: 2 }, hovertemplate: "%{x}: %{y:.4f}<extra>believed</extra>" },
         { x, y: of(steps.served), mode: "lines", name: "best policy so far", line: { color: css("--soft"), width: 1, dash: "dot" }, hoverinfo: "skip" },
-        { x: taken.map((s) => axis.values[s]), y: taken.map((s, p) => item.rows[p][s]), mode: "markers+text", name: "trained", text: taken.map((_, p) => p + 1), textposition: sides(taken.map((s) => axis.values[s])), cliponaxis: false, marker: { color: css("--ink"), size: 8 } },
+        { x: homes, y: taken.map((p) => item.rows[p][item.sources[p]]), mode: "markers+text", name: "trained here", text: taken.map((p) => p + 1), textposition: sides(homes), cliponaxis: false, marker: { color: css("--ink"), size: 8 } },
         { x, y: gain, mode: "lines", name: "score", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>score</extra>" },
       ];
-      if (coming !== undefined) {
-        traces.push({ x: [axis.values[coming]], y: [gain[order.indexOf(coming)] || 0], mode: "markers", yaxis: "y2", name: "next pick", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
+      if (placed(item, j + 2).includes(coming)) {
+        const where = item.sources[coming];
+        traces.push({ x: [axis.values[where]], y: [gain[order.indexOf(where)] || 0], mode: "markers", yaxis: "y2", name: "next pick", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
       }
       return draw(box, traces, {
         xaxis: axisOf(axis, { anchor: "y2" }), yaxis: plain("performance", { domain: [0.38, 1], range: ends }),
@@ -297,40 +307,38 @@
     },
 
     heat(i, box) {
-      const item = state.items[i], line = item.axes.length === 1, axis = item.axes[0], every = Array.from({ length: item.n }, (_, c) => c);
-      const at = line ? axis.values : every, across = sorted(at), look = line ? axis : { log: false };
-      const x = edges(across.map((c) => at[c]), look), whole = item.matrix;
+      const item = state.items[i], axis = item.axes[0], at = axis.values, across = sorted(at), whole = item.matrix;
+      const x = edges(across.map((c) => at[c]), axis), homes = placed(item).map((p) => [p, at[item.sources[p]]]);
       let y, z, marks;
       if (whole) {
         const down = sorted(Array.from(whole.sources, (s) => at[s]));
-        y = edges(down.map((r) => at[whole.sources[r]]), look);
+        y = edges(down.map((r) => at[whole.sources[r]]), axis);
         z = down.map((r) => across.map((c) => whole.values[r][c]));
-        marks = item.sources.map((s) => [at[s], at[s]]);
+        marks = homes.map(([p, place]) => [place, place, p]);
       } else {
         y = item.rows.map((_, p) => p + 1);
         z = item.rows.map((row) => across.map((c) => row[c]));
-        marks = item.sources.map((s, p) => [at[s], p + 1]);
+        marks = homes.map(([p, place]) => [place, p + 1, p]);
       }
-      const side = (text, more) => (line ? axisOf(axis, { title: { text: `${text}: ${axis.label}` }, ...more }) : plain(`${text}: context index`, more));
+      const side = (text) => axisOf(axis, { title: { text: `${text}: ${axis.label}` } });
       return draw(box, [
         { type: "heatmap", x, y, z, colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
         {
-          type: "scatter", mode: "markers+text", x: marks.map((m) => m[0]), y: marks.map((m) => m[1]), text: marks.map((_, p) => p + 1), textfont: { color: "#000", size: 9 },
-          hovertext: item.trained, hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
+          type: "scatter", mode: "markers+text", x: marks.map((m) => m[0]), y: marks.map((m) => m[1]), text: marks.map((m) => m[2] + 1), textfont: { color: "#000", size: 9 },
+          hovertext: marks.map((m) => item.trained[m[2]]), hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
         },
       ], { xaxis: side("target"), yaxis: whole ? side("source") : plain("policy, in the order of training", { dtick: item.rows.length > 20 ? undefined : 1, range: [item.rows.length + 0.5, 0.5] }) });
     },
 
     pairs(i, box) {
       const item = state.items[i], view = mapOf(i), d = item.axes.length, pairs = [];
-      const show = view.show.policies === "margin" || view.show.policies === "policy" ? "performance" : view.show.policies || "performance";
       for (let a = 0; a < d; a++) for (let b = a + 1; b < d; b++) pairs.push([a, b]);
       const columns = box.clientWidth < 600 ? 1 : Math.min(3, pairs.length), rows = Math.ceil(pairs.length / columns);
-      const [low, high] = range([item.served[show]]), traces = [], look = { grid: { rows, columns, pattern: "independent", xgap: 0.22, ygap: 0.3 }, height: 300 * rows };
+      const [low, high] = range([item.served.performance]), traces = [], look = { grid: { rows, columns, pattern: "independent", xgap: 0.22, ygap: 0.3 }, height: 300 * rows };
       pairs.forEach(([x, y], p) => {
         const n = p ? p + 1 : "", alone = item.axes.map(() => null), { across, up, members } = cells(item, x, y, alone);
         traces.push({
-          type: "heatmap", x: edges(across, item.axes[x]), y: edges(up, item.axes[y]), z: members.map((row) => row.map(average(item.served[show]))),
+          type: "heatmap", x: edges(across, item.axes[x]), y: edges(up, item.axes[y]), z: members.map((row) => row.map(average(item.served.performance))),
           xaxis: "x" + n, yaxis: "y" + n, colorscale: SCALE, zmin: low, zmax: high, showscale: p === 0, hovertemplate: "%{x}, %{y}<br>mean %{z:.4f}<extra></extra>",
         });
         look["xaxis" + n] = axisOf(item.axes[x]);
