@@ -22,8 +22,8 @@ WIDTHS = (3.4, 5.2, 6.8)
 """Inches: one column of a paper, one picture of a page, two columns."""
 
 _DISTINCT = (
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#d2d23c", "#695a1e", "#d2d2c3", "#784bc3",
-    "#00e1ff", "#c3003c", "#3c8700", "#2d5a5a", "#ffb478", "#b40f87", "#c3c3ff", "#873c3c",
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#d2d23c", "#695a1e", "#784bc3", "#c3003c",
+    "#00e1ff", "#3c8700", "#d2d2c3", "#2d5a5a", "#ffb478", "#b40f87", "#c3c3ff", "#873c3c",
     "#a5e187", "#f087ff", "#2d87ff", "#b48700", "#ff8787", "#694b87", "#968796", "#00d278",
 )  # fmt: skip
 
