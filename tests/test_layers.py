@@ -22,7 +22,7 @@ TOOL = [
     "errors", "faults", "plain", "version", "arrays", "canvas", "settings",
     "processes", "files", "provider", "seeds", "contexts", "objective", "score", "history",
     "episodes", "models", "routing", "acquisition", "selectors", "strategies", "portfolio", "envs",
-    "trainers", "study", "problems", "sumo", "plot", "report", "testing", "cli",
+    "trainers", "study", "problems", "sumo", "randomisation", "plot", "report", "testing", "cli",
 ]  # fmt: skip
 ENGINE = [
     "engine.scene", "engine.worlds", "engine.simulators", "engine.learners",
@@ -108,8 +108,9 @@ def test_imports_point_up():
 
 PUBLIC = (
     "acquisition", "canvas", "contexts", "envs.references", "envs.rollout", "envs.slots", "errors",
-    "history", "models", "objective", "plot", "portfolio", "problems", "report", "routing",
-    "score", "seeds", "selectors", "strategies", "study", "sumo", "trainers", "trainers.contract",
+    "history", "models", "objective", "plot", "portfolio", "problems", "randomisation", "report",
+    "routing", "score", "seeds", "selectors", "strategies", "study", "sumo", "trainers",
+    "trainers.contract",
 )  # fmt: skip
 """Modules of the tool that the API reference documents, with an `__all__`."""
 NOT_PUBLIC = {
