@@ -86,7 +86,7 @@ def test_only_what_a_context_names_is_pinned(cfg):
 def test_what_is_wrong_is_said(cfg):
     rewards, pin = {"alive": SimpleNamespace(params={}, weight=1.0)}, partial(pinned, cfg)
     for error, words, call, *given in (
-        (UnknownName, "Did you mean 'material'", axes_of, cfg, ["materiel"]),
+        (UnknownName, "Did you mean 'material'", axes_of, cfg, ["mater"]),
         (UnknownName, "more than one value.*'reset_all'", axes_of, cfg, ["reset_all"]),
         (InvalidInput, "7 ranges of 30 values.*by `only`", partial(space_of, values=30), cfg),
         (UnknownName, "Did you mean 'material.static", pin, {"material.friction": 1.0}),
