@@ -5,6 +5,7 @@ import shlex
 import sys
 
 import blocks
+import numpy as np
 import pytest
 
 from mbtl.errors import MbtlError
@@ -18,18 +19,46 @@ pages = pytest.mark.parametrize(
 )
 
 
-@pages
-@pytest.mark.usefixtures("undrawn")
-def test_the_blocks_of_a_page_run(page, tmp_path, monkeypatch):
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty one to work in; what is imported from there is forgotten."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     before = set(sys.modules)
-    try:
-        blocks.execute(page)
-    finally:
-        for name in set(sys.modules) - before:
-            if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
-                del sys.modules[name]
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+@pages
+@pytest.mark.usefixtures("undrawn", "folder")
+def test_the_blocks_of_a_page_run(page):
+    blocks.execute(page)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.filterwarnings("ignore")
+def test_the_blocks_on_rllib_run_where_it_is_installed(folder):
+    pytest.importorskip("ray.rllib")
+    text = (blocks.ROOT / "docs" / "rllib.md").read_text()
+    shorter = text.replace("<!-- not run: needs ray[rllib]", "<!--").replace("round(12", "round(2")
+    (folder / "page.md").write_text(shorter)
+    blocks.execute(folder / "page.md")
+    import my_poles
+    import ray
+
+    contexts, same = my_poles.problem.space.contexts, np.testing.assert_array_equal
+    first, again = (my_poles.train(contexts, 7, length=0.5) for _ in range(2))
+    on = [my_poles.train(contexts, 7, start=first, length=length) for length in (0.0, 0.5)]
+    ray.shutdown()
+    for name, weights in first.items():
+        same(again[name], weights)
+        same(on[0][name], weights)  # it begins with them
+    assert any((on[1][name] != weights).any() for name, weights in first.items())
+    returns = my_poles.evaluate(first, contexts, range(8))
+    same(my_poles.evaluate(first, contexts[4:], range(4, 8)), returns[4:])  # in any company
 
 
 @pages
