@@ -78,12 +78,12 @@ def test_a_study_loads_and_the_slider_moves_through_the_steps(probe):
         await plotted("model");
         const input = document.querySelector('input[type="range"]');
         found.last = believed();
+        found.sides = named("trained here").textposition;
         input.value = 2;
         input.dispatchEvent(new Event("input"));
         found.second = believed();
         found.said = document.querySelector("output").textContent;
         found.dots = named("trained here").x.length;
-        found.sides = seen("policies").data.find((t) => t.name === "trained here").textposition;
         const key = new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true });
         document.body.dispatchEvent(key);
         found.after = document.querySelector("output").textContent;

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Sequence
 from importlib import resources
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,17 @@ from mbtl.version import __version__
 
 _WORST = 5
 """Contexts that are listed as badly served."""
-_SCORE = "The score is the gain in V by which contexts are ranked; trust the order, not the size."
+_SCORE = (
+    "The score is the gain in V by which contexts are ranked; trust the order, not the size. Arrow "
+    "keys move the slider."
+)
+_UNITS = "A unit is one whole training."
+_FRESH = "Performance is of fresh episodes, the runner-up's of the episodes that chose."
+_WORDS = (
+    "Context: one setting of the simulator. V: mean performance over the contexts, each served by "
+    "its best policy. Performance: the score as a share of the scale, and more than 1 beyond it. "
+    "Specialist: a policy that was trained on one context."
+)
 
 
 def write_page(subjects: Sequence[Subject], path: str | Path) -> Path:
@@ -93,7 +104,8 @@ def _choice(subjects: Sequence[Subject]) -> str:
 def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     """All of one subject, of which only the first is shown at once."""
     told, space = len(subject.history), subject.space
-    facts = f"{subject.selector}, {told} trainings, {space.n} contexts"
+    units = f" of {subject.units[-1]:g} units" if told and subject.kind == "study" else ""
+    facts = f"{subject.selector}, {told} trainings{units}, {space.n} contexts"
     if subject.kind == "study":
         facts += ", finished" if subject.finished else ", under way"
     parts = [
@@ -101,15 +113,18 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
         f"<h1>{html.escape(subject.name)}</h1>",
         f'<p class="facts">{html.escape(facts)}</p>',
         _headline(subject),
-        *(f"<p>{html.escape(line)}</p>" for line in subject.sentences),
+        *(f"<p>{_said(line)}</p>" for line in subject.sentences),
+        f"<details><summary>Words</summary><p>{_WORDS}</p></details>",
         _beside(subject),
         _next(subject),
     ]
     if told:
         parts += [
-            _section("curve", "V after each training", f"V is of {subject.values_of}."),
+            _section("curve", "V after each training", f"V is of {subject.values_of}. {_UNITS}"),
             _picks(subject),
-            _section("policies", "Which policy serves which context", ""),
+            _section(
+                "policies", "Which policy serves which context", _FRESH if subject.fresh else ""
+            ),
             _badly_served(subject),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
         ]
@@ -127,8 +142,13 @@ def _headline(subject: Subject) -> str:
     if not subject.headline:
         return ""
     first, *others = subject.headline
-    rest = "".join(f"<p>{html.escape(line)}</p>" for line in others)
-    return f'<div class="headline"><p class="value">{html.escape(first)}</p>{rest}</div>'
+    rest = "".join(f"<p>{_said(line)}</p>" for line in others)
+    return f'<div class="headline"><p class="value">{_said(first)}</p>{rest}</div>'
+
+
+def _said(line: str) -> str:
+    """A sentence of the terminal, which has no such sign."""
+    return html.escape(line).replace("+-", "±")
 
 
 def _beside(subject: Subject) -> str:
@@ -152,16 +172,18 @@ def _badly_served(subject: Subject) -> str:
     if routing is None or space.n <= _WORST:
         return ""
     served = routing.served if subject.served is None else subject.served
+    scores = dict(islice(subject.columns.items(), 1))
     rows = [
         [
             space.describe(space.context(int(i))),
             f"policy {routing.route[i] + 1}, trained on "
             + subject.picks[int(routing.route[i])].trained_on(space),
             _number(float(served[i])),
+            *(f"{values[i]:.4g}" for values in scores.values()),
         ]
         for i in np.argsort(served, kind="stable")[:_WORST]
     ]
-    table = _table(["context", "served by", "performance"], rows)
+    table = _table(["context", "served by", "performance", *scores], rows)
     return f"<section><h2>Served worst</h2>{table}</section>"
 
 

@@ -50,6 +50,8 @@ class Subject:
         headline: what comes first: V, the same as a return, and how it is known.
         beside: the policies and what needs no training, as cells, the heads first.
         served: (N,) performance of the serving policies, as the sentences have it.
+        beside_served: name -> (N,) performance of what needs no training, on fresh episodes.
+        fresh: V on fresh episodes, and half its 95 % interval; None where not measured.
         next_steps: what to do now and its command, in that order.
         columns: what the table of contexts shows beside performance, (N,) by head.
     """
@@ -75,6 +77,8 @@ class Subject:
     headline: tuple[str, ...] = ()
     beside: Sequence[Sequence[str]] = ()
     served: Array | None = None
+    beside_served: Mapping[str, Array] = field(default_factory=dict)
+    fresh: tuple[float, float | None] | None = None
     next_steps: tuple[tuple[str, str], ...] = ()
     columns: Mapping[str, Array] = field(default_factory=dict)
 
@@ -125,15 +129,20 @@ def of_study(study: Study) -> Subject:
         headline=_headline(summary),
         beside=beside_table(summary),
         served=np.array(summary.served) if known else None,
+        beside_served={
+            REFERENCE_NAMES.get(who, who): state.bounds().normalise(returns).mean(axis=1)
+            for who, returns in ({} if state.fresh is None else state.fresh.baselines).items()
+        },
+        fresh=None if summary.fresh_value is None else (summary.fresh_value, summary.fresh_margin),
         next_steps=_next_steps(study, summary),
         columns=_columns(study, summary),
     )
 
 
 def _columns(study: Study, summary: StudySummary) -> dict[str, Array]:
-    """Score, metrics and baselines of each context on fresh episodes, where a score has a name."""
+    """Score, metrics and baselines of each context on fresh episodes."""
     fresh, (name, unit) = study.state.fresh, summary.score
-    if fresh is None or not (fresh.baselines or fresh.units or unit):
+    if fresh is None:
         return {}
     score = f"{name} [{unit}]" if unit else name
     own = fresh.metrics.get("policies", {})
@@ -179,6 +188,8 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         steps.insert(0, ("Go on, if nothing is running", "repeat the command that began it"))
     elif "budget" in (summary.finished or "") and summary.steps is None:
         more = f"--budget {summary.budget + 5:g}"
-        steps.append(("Train more: repeat the command that began it, with", more))
+        steps.append(
+            (f"Train 5 more, {summary.budget + 5:g} in all: the command that began it, with", more)
+        )
     steps.append(("See every pick, and what failed", f"mbtl study show {folder}"))
     return tuple(steps)

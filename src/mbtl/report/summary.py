@@ -64,7 +64,7 @@ class StudySummary:
         best_single_value: its own V.
         single_gain: V less that; both on fresh episodes where there are any.
         single_gain_margin: half its 95 % interval; None where unknown.
-        policies_enough: fewest policies that reach 99 % of the way from it to V.
+        policies_enough: places of the fewest policies that reach 99 % of the way from it to V.
         serving: (N,) place of the policy that serves each context.
         served: (N,) performance there, on fresh episodes where there are any, else as believed.
         baselines: what V is compared with, on the same fresh episodes.
@@ -105,7 +105,7 @@ class StudySummary:
     best_single_value: float | None
     single_gain: float | None
     single_gain_margin: float | None
-    policies_enough: int | None
+    policies_enough: tuple[int, ...]
     served_by_others: int | None
     most_needed: str | None
     serving: tuple[int, ...]
@@ -145,8 +145,9 @@ class StudySummary:
         best = max(self.baselines, key=lambda one: one.value)
         margin = best.lead_margin
         bar = f" +- {margin:.4f}" if margin else ""
-        name = REFERENCE_NAMES.get(best.name, best.name)
-        name = f"{name!r} (V {best.value:.4f}, {self.returned(best.value)})"
+        scores = f"{self.returned(self.fresh_value)} instead of {self.score_of(best.value):.4g}"
+        name = repr(REFERENCE_NAMES.get(best.name, best.name))
+        name = f"{name} (V {best.value:.4f}), {scores}"
         if margin is None or abs(best.lead) <= margin:
             return f"Training adds nothing sure to {name}: {best.lead:+.4f}{bar}."
         if best.lead > 0.0:
@@ -167,17 +168,19 @@ class StudySummary:
                 "evaluate with more."
             )
         bar = f" +- {margin:.4f}" if margin else ""
+        best = f"policy {(self.best_single or 0) + 1}"
         adds = (
             f"the others add {round(gain, 4) + 0.0:.4f}{bar} to the {self.best_single_value:.4f} "
-            "of the best one"
+            f"of {best}"
         )
         if gain + margin < ENOUGH_GAIN:
-            return f"One policy is enough here: {adds}."
+            return f"One policy is enough here: {adds}, less than {ENOUGH_GAIN:g}."
         if gain - margin >= ENOUGH_GAIN:
+            few = ", ".join(str(place + 1) for place in self.policies_enough)
             return (
                 f"One policy is not enough: {adds}. Others serve {self.served_by_others} of "
-                f"{self.n_contexts} contexts, and are missed most at {self.most_needed}. You need "
-                f"{self.policies_enough} policies for {ENOUGH:.0%} of that gain."
+                f"{self.n_contexts} contexts; without them most is lost at {self.most_needed}. "
+                f"For {ENOUGH:.0%} of that gain you need policies {few}."
             )
         if gain - margin > 0.0:
             return f"Several policies are better than one, if not by much: {adds}."
@@ -211,7 +214,9 @@ def summarise_study(study: Study) -> StudySummary:
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
-        return StudySummary(**{**empty, "alike": (), "serving": (), "served": (), **common})
+        return StudySummary(
+            **{**empty, "alike": (), "serving": (), "served": (), "policies_enough": (), **common}
+        )
     routing, known = study.routing, study.routing.noise_is_known
     now = routing.value
     if fresh is None:
@@ -295,17 +300,18 @@ def _alike(rows: Sequence[ToldRow]) -> tuple[tuple[int, ...], ...]:
 
 def policies_enough(
     rows: Array, weights: Array, share: float = ENOUGH, *, risk: float = 1.0
-) -> int:
+) -> tuple[int, ...]:
     """Fewest rows, added greedily, whose V reaches `share` of the way from the best single to all.
 
     Greedy addition is within 1 - 1/e of the best set, so a smaller set may exist.
     """
     goal_from = float(worst_share_mean(rows, weights, risk).max())
     goal = goal_from + share * (value(rows.max(axis=0), weights, risk) - goal_from)
-    best = np.full(rows.shape[1], -np.inf)
-    for count in range(1, len(rows) + 1):
+    best, chosen = np.full(rows.shape[1], -np.inf), list[int]()
+    while len(chosen) < len(rows):
         values = worst_share_mean(np.maximum(rows, best), weights, risk)
-        best = np.maximum(best, rows[int(values.argmax())])
+        chosen.append(int(values.argmax()))
+        best = np.maximum(best, rows[chosen[-1]])
         if values.max() >= goal - 1e-12:
-            return count
-    return len(rows)
+            break
+    return tuple(chosen)

@@ -86,8 +86,8 @@ def scale(summary: StudySummary) -> list[str]:
     """What performance 0 and 1 are, and how much was played."""
     worst, best = summary.bounds
     name, unit = summary.score
-    what = f"{worst:g} {unit}".rstrip()
-    said = f"Scores are scaled: {name} {what} counts as 0, {best:g} as 1."
+    what = f"{worst:.4g} {unit}".rstrip()
+    said = f"Scores are scaled: {name} {what} counts as 0, {best:.4g} as 1."
     if summary.episodes is not None and summary.evaluated is not None:
         said += f" {_evaluated(summary)}."
     bounds = "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."

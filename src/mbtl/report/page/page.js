@@ -58,7 +58,7 @@
   const home = (item, p) => "trained on " + item.trained[p];
   /* Policies with a place of their own: one that was trained on several contexts has none. */
   const placed = (item, last = item.sources.length) => item.sources.map((_, p) => p).slice(0, last).filter((p) => item.kinds[p] !== "several");
-  const KINDS = [["several", "one policy for several contexts", "square"], ["specialist", "a specialist", "circle"], ["tuned", "a tuned copy", "diamond"]];
+  const SYMBOLS = { several: "square", specialist: "circle", tuned: "diamond" };
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
   function axisOf(axis, more = {}) {
@@ -220,7 +220,7 @@
     curve(i, box) {
       const item = state.items[i], k = item.curve.units, last = Math.max(k.at(-1) || 0, 2), traces = [];
       Object.entries(item.levels).forEach(([name, v]) => traces.push({
-        x: [1, last], y: [v, v], mode: "lines", name, line: { width: 1, dash: "dot", color: css("--soft") }, visible: name === "Independent" || item.kind === "study" ? true : "legendonly",
+        x: [Math.min(1, ...k), last], y: [v, v], mode: "lines", name, line: { width: 1, dash: "dot", color: css("--soft") }, visible: name === "Independent" || item.kind === "study" ? true : "legendonly",
       }));
       Object.entries(item.baselines).forEach(([name, rows], n) => {
         const x = Array.from(rows[0], (_, j) => j + 1), colour = LINES[n % LINES.length];
@@ -235,6 +235,10 @@
         x: k, y: values, mode: "lines+markers", name: item.selector, line: { width: 3, color: css("--accent") }, marker: { size: 8 },
         text: item.trained.map((what, j) => `${what}<br>${gained(j)}${item.reasons[j]}`),
         hovertemplate: "after %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
+      });
+      if (item.fresh) traces.push({
+        x: [k.at(-1)], y: [item.fresh[0]], mode: "markers", name: "on fresh episodes", marker: { size: 9, symbol: "diamond", color: css("--ink") },
+        error_y: { type: "constant", value: item.fresh[1] || 0, thickness: 1.5 }, hovertemplate: "on fresh episodes: V = %{y:.4f}<extra></extra>",
       });
       const heights = traces.flatMap((one) => [...one.y]), low = Math.min(...heights), high = Math.max(...heights);
       const upright = plain("V", high - low < 0.02 ? { range: [low - 0.05, high + 0.05] } : {}); // rounding is no course
@@ -256,23 +260,27 @@
         { x, y: order.map((j) => second[j]), mode: "lines", name: "runner-up", line: { width: 1, dash: "dot", color: css("--soft") }, hoverinfo: "skip" },
         { x, y: order.map((j) => performance[j]), mode: "lines", line: { width: 0.6, color: css("--soft") }, hoverinfo: "skip", showlegend: false },
       ];
-      for (const [kind, name, symbol] of KINDS) {
-        const own = order.filter((j) => item.kinds[policy[j]] === kind);
-        if (own.length) traces.push({
-          x: own.map((j) => axis.values[j]), y: own.map((j) => performance[j]), mode: "markers", name: "served by " + name,
-          marker: { size: 8, symbol, color: own.map((j) => colours[policy[j]]) },
-          text: own.map((j) => `${describe(item, j)}<br>policy ${policy[j] + 1}, ${home(item, policy[j])}` +
+      Object.entries(item.beside).forEach(([name, values], n) => traces.push({
+        x, y: order.map((j) => values[j]), mode: "lines", name, line: { width: 1, dash: DASHES[n % 6], color: LINES[(n + 1) % 6] }, hoverinfo: "skip",
+      }));
+      distinct(policy).forEach((p) => {
+        const own = order.filter((j) => policy[j] === p);
+        traces.push({
+          x: own.map((j) => axis.values[j]), y: own.map((j) => performance[j]), mode: "markers", name: `policy ${p + 1}: ${item.trained[p]}`,
+          marker: { size: 8, symbol: SYMBOLS[item.kinds[p]], color: colours[p] },
+          text: own.map((j) => `${describe(item, j)}<br>policy ${p + 1}, ${home(item, p)}` +
             (runnerUp[j] < 0 ? "" : `<br>runner-up: policy ${runnerUp[j] + 1}, ${fixed(second[j])}`)),
           hovertemplate: "%{text}<br>performance %{y:.4f}<extra></extra>",
         });
-      }
+      });
+      const ends = wider(range([performance, second, ...Object.values(item.beside)]));
       const at = placed(item), homes = at.map((p) => axis.values[item.sources[p]]);
       traces.push({
-        x: homes, y: at.map((p) => performance[item.sources[p]]), mode: "markers+text", name: "trained here",
-        text: at.map((p) => p + 1), textposition: sides(homes), cliponaxis: false, hovertext: at.map((p) => home(item, p)), hoverinfo: "text",
-        marker: { size: 13, symbol: "circle-open", color: css("--ink"), line: { width: 1.5 } },
+        x: homes, y: at.map(() => ends[0]), mode: "markers+text", name: "trained there",
+        text: at.map((p) => p + 1), textposition: "top center", cliponaxis: false, hovertext: at.map((p) => home(item, p)), hoverinfo: "text",
+        marker: { size: 9, symbol: "triangle-up", color: css("--ink") },
       });
-      return draw(box, traces, { xaxis: axisOf(axis), yaxis: plain("performance", { range: wider(range([performance, second])) }) });
+      return draw(box, traces, { xaxis: axisOf(axis), yaxis: plain("performance", { range: ends }) });
     },
 
     model(i, box) {
@@ -309,7 +317,7 @@
     heat(i, box) {
       const item = state.items[i], axis = item.axes[0], at = axis.values, across = sorted(at), whole = item.matrix;
       const x = edges(across.map((c) => at[c]), axis), homes = placed(item).map((p) => [p, at[item.sources[p]]]);
-      let y, z, marks;
+      let y, z, marks; // a few cells must not take the whole scale
       if (whole) {
         const down = sorted(Array.from(whole.sources, (s) => at[s]));
         y = edges(down.map((r) => at[whole.sources[r]]), axis);
@@ -322,7 +330,7 @@
       }
       const side = (text) => axisOf(axis, { title: { text: `${text}: ${axis.label}` } });
       return draw(box, [
-        { type: "heatmap", x, y, z, colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
+        { type: "heatmap", x, y, z, zmin: within(z.flat(), 0.01), zmax: within(z.flat(), 0.99), colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
         {
           type: "scatter", mode: "markers+text", x: marks.map((m) => m[0]), y: marks.map((m) => m[1]), text: marks.map((m) => m[2] + 1), textfont: { color: "#000", size: 9 },
           hovertext: marks.map((m) => item.trained[m[2]]), hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
@@ -349,6 +357,11 @@
   };
 
   const sorted = (values) => Array.from(values, (_, i) => i).sort((a, b) => values[a] - values[b]);
+  /* Value below which a share of them is. */
+  function within(values, share) {
+    const known = values.filter(Number.isFinite).sort((a, b) => a - b);
+    return known[Math.round(share * (known.length - 1))];
+  }
   function range(rows) {
     let low = Infinity, high = -Infinity;
     for (const row of rows) for (const v of row) if (Number.isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
