@@ -187,9 +187,8 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
     if not study.is_finished:
         steps.insert(0, ("Go on, if nothing is running", "repeat the command that began it"))
     elif "budget" in (summary.finished or "") and summary.steps is None:
-        more = f"--budget {summary.budget + 5:g}"
-        steps.append(
-            (f"Train 5 more, {summary.budget + 5:g} in all: the command that began it, with", more)
-        )
+        total = f"{summary.budget + 5:g}"
+        how = f"Train 5 more units, {total} in all: the command that began it, with"
+        steps.append((how, f"--budget {total}"))
     steps.append(("See every pick, and what failed", f"mbtl study show {folder}"))
     return tuple(steps)
