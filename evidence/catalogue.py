@@ -35,14 +35,14 @@ FAMILIES = {
 INTRODUCTION = """# The catalogue of CMDPs
 
 **`mbtl run ID` trains on any of these problems.** A *CMDP* is a problem with contexts. The tables
-say what varies between them, their number N, the nominal one, on which people train without help,
-and the transfer matrix that is shipped, of policies on all contexts where no number of sources is
-given. Selectors are compared on it in seconds: `mbtl bench --matrix ID`. Those of signals and
-eco-driving are of the paper's scores, so their scales differ from these.
+say what varies between them, their number N, and the nominal one, on which people train without
+help. *Matrix* is the shipped [transfer matrix](matrices.md), of policies of all contexts unless it
+says of how many; `mbtl bench --matrix ID` compares selectors on it in seconds. Those of signals
+and eco-driving hold the paper's scores, on other scales than here.
 
-Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). The pictures show
-five moments at the nominal context: of a trained policy in control, of choices at random in
-traffic. `python evidence/catalogue.py --write` wrote this page from the registry.
+Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). Pictures are of the
+nominal context: of a trained policy in control, of random choices in traffic
+(`python evidence/catalogue.py --write`).
 """
 TRAINED = {
     "cartpole": "cartpole-length",
@@ -78,8 +78,7 @@ def common(members: list[CMDP]) -> str:
     (horizon,) = {cmdp.horizon for cmdp in members}
     ((low, high),) = {tuple(cmdp.bounds or (0.0, 1.0)) for cmdp in members}
     return (
-        f"Episodes of at most {horizon} decisions; performance 0 and 1 are returns of {low:g} and "
-        f"{high:g}."
+        f"At most {horizon} decisions; performance 0 and 1 are returns of {low:g} and {high:g}."
     )
 
 
