@@ -38,7 +38,8 @@ INTRODUCTION = """# The catalogue of CMDPs
 say what varies between them, their number N, and the nominal one, on which people train without
 help. *Matrix* is the shipped [transfer matrix](matrices.md), of policies of all contexts unless it
 says of how many; `mbtl bench --matrix ID` compares selectors on it in seconds. Those of signals
-and eco-driving hold the paper's scores, on other scales than here.
+and eco-driving hold the paper's scores, on other scales than here. *Scale* names the returns that
+are performance 0 and 1.
 
 Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). Pictures are of the
 nominal context: of a trained policy in control, of random choices in traffic
@@ -78,7 +79,7 @@ def common(members: list[CMDP]) -> str:
     (horizon,) = {cmdp.horizon for cmdp in members}
     ((low, high),) = {tuple(cmdp.bounds or (0.0, 1.0)) for cmdp in members}
     return (
-        f"At most {horizon} decisions; performance 0 and 1 are returns of {low:g} and {high:g}."
+        f"At most {horizon} decisions; scale {low:g} to {high:g}."
     )
 
 
