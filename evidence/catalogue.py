@@ -78,9 +78,7 @@ def common(members: list[CMDP]) -> str:
     """The longest episode and the scale, which are those of the whole family."""
     (horizon,) = {cmdp.horizon for cmdp in members}
     ((low, high),) = {tuple(cmdp.bounds or (0.0, 1.0)) for cmdp in members}
-    return (
-        f"At most {horizon} decisions; scale {low:g} to {high:g}."
-    )
+    return f"At most {horizon} decisions; scale {low:g} to {high:g}."
 
 
 def row(cmdp: CMDP, shipped: set[str]) -> str:
