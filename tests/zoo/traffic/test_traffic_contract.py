@@ -10,13 +10,16 @@ from pettingzoo.test import parallel_api_test
 
 from mbtl.envs.recording import draw_actions
 from mbtl.envs.slots import as_one
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.problems import check_cmdp, get_cmdp
 from mbtl.testing.cmdps import CMDPContract
 from mbtl.trainers import reference_rows
 from mbtl.zoo.cmdps import gym_id
 from mbtl.zoo.cmdps.families import TRAFFIC_VARIANTS
 from mbtl.zoo.cmdps.traffic.eco import Eco
-from mbtl.zoo.cmdps.traffic.ramp import RampVel
+from mbtl.zoo.cmdps.traffic.ramp import Ramp, RampVel
+from mbtl.zoo.cmdps.traffic.ring import Ring, RingVel
+from mbtl.zoo.cmdps.traffic.signal import Signal
 
 ONE = {"episodes": 1, "eval_episodes": 1, "checkpoint_episodes": 1}
 HERE = {**ONE, "processes": False}  # as a test of the command starts them, they are in others
@@ -102,9 +105,9 @@ def test_a_class_shows_of_its_context_what_the_cmdp_shows(id):
 
 
 @pytest.mark.parametrize("id", TRAFFIC_VARIANTS)
-def test_the_context_changes_a_seeded_rollout(id):
+def test_a_seeded_rollout_is_the_same_again_and_another_in_another_context(id):
     space, rollouts = get_cmdp(id).space, []
-    for place in (0, 4 if space.axes[0].name == "hold" else -1):
+    for place in (0, 0, 4 if space.axes[0].name == "hold" else -1):
         env = as_one(
             get_cmdp(id, engine="sumo", visibility="hidden").make_env(space.contexts[place])
         )
@@ -112,7 +115,60 @@ def test_the_context_changes_a_seeded_rollout(id):
         seen += [env.step(action)[0] for action in draw_actions(env.action_space, 12, seed=0)]
         rollouts.append(np.array(seen))
         env.close()
-    assert not np.array_equal(*rollouts)
+    first, again, elsewhere = rollouts
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, elsewhere)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("kind", "context", "options", "error", "words"),
+    [
+        (Ring, {"hold": 0.25}, {}, ContextMismatch, r"0\.1 s"),
+        (Ring, {"hold": 0}, {}, ContextMismatch, "> 0"),
+        (Ring, None, {"obs": "old"}, UnknownName, "stale"),
+        (Ring, None, {"start": "even"}, UnknownName, "uniform"),
+        (RingVel, None, {"render_mode": "human"}, UnknownName, "render mode"),
+        (Ramp, {"hold": 0.01}, {}, ContextMismatch, r"0\.1 s"),
+        (Ramp, None, {"obs": "new"}, UnknownName, "fresh"),
+        (Ramp, None, {"time_limit": "none"}, UnknownName, "time limit"),
+        *((Eco, {"green": g}, {}, ContextMismatch, "at least 1 s") for g in (0, 0.5, -1.0, 10.2)),
+        *((Eco, {"penetration": p}, {}, ContextMismatch, r"\(0, 1\]") for p in (0, 1.2, -0.1, NAN)),
+        (Eco, {"inflow": 0}, {}, ContextMismatch, "inflow"),
+        (Eco, {"penetrations": 0.3}, {}, UnknownName, "penetration"),
+        (Eco, None, {"score": "all"}, UnknownName, "everyone, paper"),
+        (Signal, {"length": 5}, {}, ContextMismatch, "hold a car"),
+        (Signal, {"inflow": 10.5}, {}, ContextMismatch, "number of cars"),
+        (Signal, {"speed": 0}, {}, ContextMismatch, "> 0"),
+        *((Signal, None, {"jam": jam}, InvalidInput, "< 0") for jam in (0.0, NAN)),
+    ],
+)
+def test_contexts_and_settings_that_make_no_sense_are_refused(kind, context, options, error, words):
+    with pytest.raises(error, match=words):
+        kind(context, **options)
+
+
+@pytest.mark.parametrize(
+    ("kind", "actions", "words"),
+    [
+        (RingVel, (-1, 10, 2.5), "0 to 9"),
+        (RampVel, (10,), "0 to 9"),
+        (Eco, ([NAN],), "finite"),
+        (Signal, (-1, 4, 0.5), "0, 1, 2 or 3"),
+    ],
+)
+def test_what_cannot_be_done_or_drawn_is_refused(opened, kind, actions, words):
+    env = opened(kind(render_mode="rgb_array"))
+    with pytest.raises(InvalidInput, match="reset"):
+        env.render()
+    env.reset(seed=0)
+    for action in actions:
+        with pytest.raises(InvalidInput, match=words):
+            env.step(dict.fromkeys(env.agents, action) if hasattr(env, "agents") else action)
+    with pytest.raises(InvalidInput, match="rgb_array"):
+        opened(kind()).render()
 
 
 @pytest.mark.parametrize(

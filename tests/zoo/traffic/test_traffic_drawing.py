@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps.traffic.eco import Eco
 from mbtl.zoo.cmdps.traffic.ramp import RampVel
 from mbtl.zoo.cmdps.traffic.ring import RingVel
@@ -37,12 +36,3 @@ def test_the_end_of_an_episode_can_still_be_seen():
     assert env.simulation.running is None
     assert (env.render() != before).any()
     np.testing.assert_array_equal(env.render(), env.render())
-
-
-def test_what_cannot_be_rendered_says_why():
-    with pytest.raises(InvalidInput, match="rgb_array"):
-        RingVel().render()
-    with pytest.raises(InvalidInput, match="reset"):
-        RingVel(render_mode="rgb_array").render()
-    with pytest.raises(UnknownName, match="render mode"):
-        RingVel(render_mode="human")

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps.traffic import advisory
-from mbtl.zoo.cmdps.traffic.ring import CARS, Ring, RingAcc, RingVel
+from mbtl.zoo.cmdps.traffic.ring import CARS, RingAcc, RingVel
 
 
 @pytest.fixture
@@ -142,19 +142,3 @@ def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make
     assert lived < 1_100
     share = (lived - 100) / 1_000
     assert info["score"] == pytest.approx(so_far * share, rel=0.05)
-
-
-def test_settings_are_checked(make):
-    with pytest.raises(ContextMismatch, match=r"0\.1 s"):
-        Ring({"hold": 0.25})
-    with pytest.raises(ContextMismatch, match="> 0"):
-        Ring({"hold": 0})
-    with pytest.raises(UnknownName, match="stale"):
-        Ring(obs="old")
-    with pytest.raises(UnknownName, match="uniform"):
-        Ring(start="even")
-    env = make()
-    env.reset(seed=0)
-    for level in (-1, 10, 2.5):
-        with pytest.raises(InvalidInput, match="0 to 9"):
-            env.step(level)

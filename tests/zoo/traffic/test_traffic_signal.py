@@ -287,26 +287,3 @@ def test_braking_takes_whole_seconds():
     # one second at 10 m/s, then 5.5 and 1, behind a car of 5 m that stands 0.1 m into the road
     assert signal.stopping_distance(10.0) == pytest.approx(5.1 + 10.0 + 5.5 + 1.0)
     assert signal.stopping_distance(4.0) == pytest.approx(5.1 + 4.0)
-
-
-@pytest.mark.parametrize(
-    ("given", "error", "message"),
-    [
-        ({"context": {"length": 5}}, ContextMismatch, "hold a car"),
-        ({"context": {"inflow": 10.5}}, ContextMismatch, "number of cars"),
-        ({"context": {"speed": 0}}, ContextMismatch, "> 0"),
-        ({"jam": 0.0}, InvalidInput, "< 0"),
-        ({"jam": np.nan}, InvalidInput, "< 0"),
-    ],
-)
-def test_what_is_impossible_is_refused(make, given, error, message):
-    with pytest.raises(error, match=message):
-        make(**given)
-
-
-def test_other_phases_are_refused(make):
-    env = make()
-    env.reset(seed=0)
-    for phase in (-1, 4, 0.5):
-        with pytest.raises(InvalidInput, match="0, 1, 2 or 3"):
-            env.step(phase)
