@@ -1,9 +1,8 @@
-import numpy as np
 import pytest
 
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps.traffic import eco
-from mbtl.zoo.cmdps.traffic.eco import ABSENT, LAYOUT, Eco, Trip
+from mbtl.zoo.cmdps.traffic.eco import Eco, Trip
 
 
 @pytest.fixture
@@ -17,10 +16,6 @@ def unguided(env, seed=0):
     while env.agents:
         env.step({})
     return env.summary
-
-
-def part(observation, name):
-    return observation[LAYOUT[name]]
 
 
 # ---- closed form -------------------------------------------------------------------------------
@@ -120,60 +115,3 @@ def test_agents_are_the_controlled_cars_in_the_region_and_are_terminated_as_they
         assert not any(truncated.values())
         left += len(set(acting) - here)
     assert left > 5
-
-
-@pytest.mark.parametrize(("told", "done"), [(-20.0, -4.5), (-1.0, -1.0), (0.0, 0.0)])
-def test_a_car_follows_its_command_for_one_step_within_its_limits(make, told, done):
-    env = make({"penetration": 1.0, "inflow": 100.0})
-    env.reset(seed=0)
-    speed = env.simulation.api.vehicle.getSpeed
-    while not (env.agents and speed(env.agents[0]) > 8.0):
-        env.step({})
-    car = env.agents[0]
-    before = speed(car)
-    env.step({car: np.array([told])})
-    assert speed(car) == pytest.approx(before + 0.5 * done, abs=1e-6)
-    env.step({})
-    if before < 13.9:
-        assert speed(car) > before + 0.5 * done  # by itself it drives faster again
-
-
-def test_the_observation_shows_the_car_its_signal_and_its_neighbours(make):
-    env = make({"penetration": 0.6, "inflow": 900.0})
-    observations, _ = env.reset(seed=0)
-    starts, seen_roads, followed = (0.0, 235.6, 250.0), set(), 0
-    for _ in range(160):
-        api = env.simulation.api
-        time = api.simulation.getTime()
-        for car, observation in observations.items():
-            assert env.observation_space(car).contains(observation)
-            if car not in env.agents:
-                continue
-            assert part(observation, "speed") * 15 == pytest.approx(api.vehicle.getSpeed(car))
-            road = ("approach", "box", "exit").index(api.vehicle.getRoadID(car))
-            x = starts[road] + api.vehicle.getLanePosition(car)
-            assert part(observation, "road").argmax() == road
-            assert part(observation, "distance") * 250 == pytest.approx(235.6 - x, abs=1e-3)
-            assert part(observation, "phase").argmax() == env._light.phase(time)
-            assert part(observation, "changes") * 100 == pytest.approx(env._light.changes(time))
-            assert part(observation, "destination").tolist() == [0, 1, 0]
-            leader = api.vehicle.getLeader(car, 1000.0)
-            seen = part(observation, "leader")
-            if leader and leader[0]:
-                assert seen[0] * 15 == pytest.approx(api.vehicle.getSpeed(leader[0]), abs=1e-4)
-                net = leader[1] + api.vehicle.getMinGap(car)
-                assert seen[1] * 250 == pytest.approx(net, abs=0.01)
-                if leader[0] in env.agents:
-                    followed += 1
-                    back = part(observations[leader[0]], "follower")
-                    assert back[0] == part(observation, "speed")
-                    assert back[1] == pytest.approx(seen[1], abs=1e-5)
-            else:
-                assert seen == pytest.approx(ABSENT)
-            for side in ("left", "right"):
-                itself = [part(observation, "speed")[0], 0.0, 0.0, 0.0]
-                assert part(observation, side).tolist() == itself * 2
-            seen_roads.add(road)
-        observations = env.step({})[0]
-    assert seen_roads == {0, 1, 2}
-    assert followed > 20

@@ -67,36 +67,6 @@ def test_a_hold_is_that_many_seconds_and_control_lasts_400_s(make):
         env.step(3)
 
 
-def test_the_reward_is_the_mean_speed_of_the_advised_car(make):
-    env = make(hold=0.1, noise=0.0)
-    env.reset(seed=1)
-    for level in (9, 0, 0, 5):
-        observation, reward, *_ = env.step(level)
-        assert reward == pytest.approx(env.simulation.api.vehicle.getSpeed("car0"))
-        assert (observation[0] + 1) / 2 * 10 == pytest.approx(reward, abs=1e-6)
-
-
-def test_the_observation_is_scaled_to_minus_one_to_one(make):
-    env = make(start="uniform", noise=0.0, visibility="multiplier")
-    observation, _ = env.reset(seed=0)
-    v, u, distance = (observation[:3].astype(float) + 1) / 2 * [10, 10, 300]
-    assert (v, u) == pytest.approx((4.33, 4.33), abs=0.03)
-    assert distance == pytest.approx(250 / CARS, abs=0.2)
-    assert observation[3] == 1.0  # the multiplier
-    assert env.observation_space.contains(observation)
-
-
-def test_an_advised_acceleration_acts_for_the_whole_hold(make):
-    env = make(RingAcc, noise=0.0, start="uniform")
-    env.reset(seed=0)
-    speed = env.simulation.api.vehicle.getSpeed
-    before = speed("car0")
-    env.step(np.array([-0.5]))
-    assert speed("car0") == pytest.approx(before - 0.25, abs=1e-6)
-    env.step(np.array([-7.0]))  # clipped
-    assert speed("car0") == pytest.approx(before - 0.75, abs=1e-6)
-
-
 def test_a_stale_observation_is_that_of_the_first_simulation_step(make):
     stale, fine = make(hold=2.0, obs="stale"), make(hold=0.1)
     stale.reset(seed=3)

@@ -10,22 +10,10 @@ import pytest
 
 from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
-from mbtl.zoo.cmdps.traffic.eco import LIMIT, light
+from mbtl.zoo.cmdps.traffic.eco import LIMIT
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
 from mbtl.zoo.worlds.traffic import eco, lane
-from mbtl.zoo.worlds.traffic.eco import Costs, EcoParams, Light
-from mbtl.zoo.worlds.traffic.lane import Cars
-
-CAR = {"length": 5.0, "min_gap": 2.0, "tau": 1.0, "accel": 2.6, "decel": 4.5}
-
-
-def cars(speed, x=None):
-    speed = jnp.array(speed, jnp.float32)[:, None]
-    rows = {name: jnp.full(speed.shape, value) for name, value in CAR.items()}
-    none = jnp.zeros(speed.shape, jnp.int32)
-    x = jnp.zeros(speed.shape) if x is None else jnp.array(x, jnp.float32)[:, None]
-    return Cars(x=x, speed=speed, controlled=none, **rows)
-
+from mbtl.zoo.worlds.traffic.eco import Costs, EcoParams
 
 SEEDS = jnp.arange(8, dtype=jnp.uint32)
 
@@ -51,26 +39,6 @@ def twin():
 
 
 # ---- car-following -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("left", "can", "gap"),
-    [(30.0, True, 29.0), (9.0, True, 8.75), (8.8, True, 8.7), (8.0, False, 7.9)],
-)
-def test_a_car_stops_a_metre_before_the_line_or_nearer_if_it_must(left, can, gap):
-    # at 10 m/s, with 4.5 m/s^2 in steps of 0.5 s: 0.5 (7.75 + 5.5 + 3.25 + 1) = 8.75 m
-    stops, stop = lane.halt(cars([10.0]), jnp.array([[left]]), 0.5)
-    assert bool(stops[0, 0]) == can
-    assert float(stop.gap[0, 0]) == pytest.approx(gap)
-
-
-def test_a_car_enters_behind_another_only_where_it_has_room():
-    new = Cars(*(field[0] for field in cars([5.0])))
-    wish = 2.0 + 5.0 * 1.0  # as fast as the last car
-    for gap, room in ((wish + 0.1, True), (wish - 0.1, False)):
-        last = cars([5.0], x=[100.0])
-        found = lane.room(last, jnp.array([0]), 95.0 - gap, 5.0, new)
-        assert bool(found[0]) == room
 
 
 # ---- bookkeeping ---------------------------------------------------------------------------------
@@ -105,19 +73,6 @@ def test_what_is_seen_of_the_context(visibility, size):
 
 
 # ---- signals and arrivals ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("green", [1.0, 35.0])
-def test_the_light_is_that_of_the_corridor(green):
-    ours, theirs = Light(3.0, 35.0), light(green)
-    times = np.arange(0.0, 160.0, 0.5)
-    greens = jnp.full(len(times), green)
-    seen = np.stack(ours.seen(greens, jnp.asarray(times, jnp.float32)), axis=1)
-    side = np.asarray(ours.side(greens, jnp.asarray(times, jnp.float32)))
-    for k, time in enumerate(times):
-        assert seen[k, :3].tolist() == np.eye(3)[theirs.phase(time)].tolist()
-        assert seen[k, 3:] == pytest.approx(theirs.changes(time))
-        assert side[k] == (green + 3.0 <= time % theirs.cycle < green + 38.0)
 
 
 def test_arrivals_are_poisson_and_drivers_as_the_population_says(twin):
