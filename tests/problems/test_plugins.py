@@ -66,3 +66,12 @@ def test_what_is_wrong_names_the_package(package):
         get_cmdp("hill-slope", visibility="hidden")
     with pytest.raises(UnknownName, match="hill-slope"):
         get_cmdp("hill-slop")
+
+
+def test_commands_list_and_run_it_and_a_broken_one_hides_nothing(package, mbtl_command):
+    code, out, err = mbtl_command("cmdps")
+    assert (code, "hill-slope" in out, "cartpole-length" in out) == (0, True, True)
+    assert "left out: CMDP 'hill-gone' of the package 'hills-of-others' cannot be loaded" in err
+    assert "slope 0..3" in mbtl_command("cmdps", "hill-slope")[1]
+    code, out, err = mbtl_command("run", "hill-slope", "--budget", 2, "--json")
+    assert code == 0, err

@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,6 @@ import quick_problem
 
 import mbtl
 from flat import created, ran
-from mbtl.trainers import FunctionTrainer
 
 pytestmark = [
     pytest.mark.long,
@@ -41,14 +41,9 @@ class Deadly:
         return quick_problem.train(context, seed)
 
 
-def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path):
+@pytest.fixture
+def dask(tmp_path):
     distributed = pytest.importorskip("distributed")
-    trainer = FunctionTrainer(
-        Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
-    )
-    study = created(
-        quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
-    )
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None,
@@ -56,16 +51,11 @@ def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path)
         ) as cluster,
         distributed.Client(cluster) as client,
     ):  # fmt: skip
-        ran(study, trainer=trainer, parallel=2, executor=client.get_executor(pure=False))
-    assert (tmp_path / "killed").exists()
-    assert study.is_finished
-    rows = mbtl.load_study(tmp_path).state.rows
-    assert sorted(row.pick for row in rows) == list(range(6))
-    assert not study.state.failures
-    assert study.portfolio(trainer).policy_for({"mass": 1.0}).shape == (2,)
+        yield client.get_executor(pure=False)
 
 
-def test_a_study_on_ray_loses_nothing_when_a_worker_process_is_killed(tmp_path):
+@pytest.fixture
+def ray():
     ray = pytest.importorskip("ray")
 
     class Ray(Executor):
@@ -74,22 +64,25 @@ def test_a_study_on_ray_loses_nothing_when_a_worker_process_is_killed(tmp_path):
         def submit(self, fn, /, *args, **kwargs):
             return ray.remote(fn).remote(*args, **kwargs).future()
 
-    trainer = FunctionTrainer(
-        Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
-    )
+    here = {"PYTHONPATH": os.environ["PYTHONPATH"]}
+    ray.init(num_cpus=2, include_dashboard=False, runtime_env={"env_vars": here})
+    yield Ray()
+    ray.shutdown()
+
+
+@pytest.mark.parametrize("engine", ["dask", "ray"])
+def test_a_study_loses_nothing_when_a_worker_process_is_killed(tmp_path, engine, request):
+    trainer = replace(quick_problem.TRAINER, train_fn=Deadly(tmp_path / "killed"))
     study = created(
         quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
     )
-    here = {"PYTHONPATH": os.environ["PYTHONPATH"]}
-    ray.init(num_cpus=2, include_dashboard=False, runtime_env={"env_vars": here})
-    try:
-        ran(study, trainer=trainer, parallel=2, executor=Ray())
-    finally:
-        ray.shutdown()
+    ran(study, trainer=trainer, parallel=2, executor=request.getfixturevalue(engine))
     assert (tmp_path / "killed").exists()
     assert study.is_finished
-    assert sorted(row.pick for row in study.state.rows) == list(range(6))
+    rows = mbtl.load_study(tmp_path).state.rows
+    assert sorted(row.pick for row in rows) == list(range(6))
     assert not study.state.failures
+    assert study.portfolio(trainer).policy_for({"mass": 1.0}).shape == (2,)
 
 
 PROBLEM = """

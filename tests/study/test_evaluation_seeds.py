@@ -7,16 +7,9 @@ from line_problem import line
 from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.seeds import Purpose, evaluation_seeds
-from mbtl.study.closing_report import fresh_value
 from mbtl.trainers import FunctionTrainer
 
 SPACE = line(64)
-EPISODES = 5
-
-
-def start_of(seed):
-    """What the starts of the episodes of a seed add to a return: nothing in the mean."""
-    return np.random.default_rng(seed).standard_normal(EPISODES)
 
 
 def study_of(root=0, **settings):
@@ -26,27 +19,6 @@ def study_of(root=0, **settings):
 
 def train(context, seed):
     return 0.5
-
-
-def error_of(evaluate, studies=16):
-    """Root mean square of V on fresh episodes, whose true value is .5."""
-    values = []
-    for root in range(studies):
-        study = study_of(root, budget=1).run(train, evaluate, progress=False).study
-        values.append(fresh_value(study.state).value)
-    return float(np.sqrt(np.mean((np.array(values) - 0.5) ** 2)))
-
-
-def test_luck_averages_out_in_v_unless_contexts_share_it():
-    def per_context(policy, contexts, seeds):
-        return [policy + start_of(seed) for seed in seeds]
-
-    def shared(policy, contexts, seeds):
-        return [policy + start_of(seeds[0] >> 4) for _ in contexts]
-
-    own, common = error_of(per_context), error_of(shared)
-    assert own == pytest.approx(1.0 / np.sqrt(EPISODES * SPACE.n), rel=0.35)
-    assert common == pytest.approx(1.0 / np.sqrt(EPISODES), rel=0.35)
 
 
 @pytest.mark.parametrize(

@@ -52,27 +52,6 @@ def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     assert fresh.value == pytest.approx(before.value, abs=0.3)  # of few and skewed ones
 
 
-def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
-    calls, stops = [], [True]
-
-    def evaluate(policy, contexts, seeds):
-        if len(calls) == 3 and stops.pop():
-            raise KeyboardInterrupt
-        return quick_problem.evaluate(policy, contexts, seeds)
-
-    trainer = counting(calls, evaluate_fn=evaluate)
-    with pytest.raises(KeyboardInterrupt):
-        study_at(tmp_path, budget=3).run(trainer=trainer)
-    stops.append(False)
-    study = study_at(tmp_path, budget=3)
-    assert len(study.state.rows) == 2
-    study.run(trainer=trainer)
-    assert len(calls) == 3  # the third policy was found in its folder
-    calm = new(None, budget=3).run(trainer=counting([])).study
-    assert [p.source for p in study.state.picks] == [p.source for p in calm.state.picks]
-    assert np.array_equal(study.curve, calm.curve)
-
-
 def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     def train(context, seed):
         raise InvalidInput("no such hyperparameter")
@@ -229,24 +208,6 @@ def test_a_report_that_does_not_fit_the_rows_is_refused_and_a_new_row_makes_it_v
     assert study.state.fresh is None
 
 
-def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
-    said = []
-
-    class Ear(Callback):
-        def on_note(self, study, words):
-            said.append(words)
-
-    def evaluate(policy, contexts, seeds):
-        if seeds[0] >> 28 == 2:  # the fresh seeds
-            raise RuntimeError("licence expired")
-        return quick_problem.evaluate(policy, contexts, seeds)
-
-    trainer = replace(TRAINER, evaluate_fn=evaluate)
-    study = new(tmp_path / "s.db", budget=1).run(trainer=trainer, callbacks=[Ear()]).study
-    assert study.is_finished
-    assert said[-1].endswith("could not be measured: RuntimeError: licence expired")
-
-
 def test_the_first_picks_of_parallel_workers_spread_out():
     for selector in ("mbtl", "mbtl-ei", "mbtl-release", "worst-first"):
         study = mbtl.create_study(LINE, budget=8, strategy=selector)
@@ -302,10 +263,3 @@ def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger():
 def test_wrong_types_get_the_rule_not_pythons_own_words(wrong, words):
     with pytest.raises(mbtl.MbtlError, match=words):
         wrong()
-
-
-def test_studies_and_portfolios_introduce_themselves():
-    study = new(None, budget=4)
-    study.tell(study.ask(), np.full(15, -5.0))
-    assert repr(study).startswith("Study('study': 1 of 4 trainings told")
-    assert repr(study.portfolio()).startswith("Portfolio(1 policies for ContextSpace(mass [kg]")

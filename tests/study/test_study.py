@@ -34,12 +34,6 @@ def new(tmp_path=None, **settings):
     return created(SPACE, storage=tmp_path / "study.db" if tmp_path else None, **settings)
 
 
-def test_ask_and_tell_play_the_selector():
-    study = told(new(), 4)
-    assert [pick.source for pick in study.state.picks] == [9, 19, 0, 14]
-    assert study.curve[-1] == pytest.approx(np.max([row(s) for s in (9, 19, 0, 14)], axis=0).mean())
-
-
 def test_the_training_seed_belongs_to_the_source_not_to_the_pick():
     for selector in ("mbtl", "equidistant"):
         study = new(strategy=selector, seed=3, trial=1)
@@ -70,15 +64,6 @@ def test_a_budget_of_trainings_or_of_cost_ends_the_study():
     study.tell(4, row(4), cost=2.5)  # unless it is told
     with pytest.raises(StudyFinished, match="cost 5 reaches the budget of 5"):
         study.ask()
-
-
-def test_policies_a_user_already_has_are_free_and_are_used():
-    study = new(budget=2)
-    study.tell({"x": 0.0}, row(0))
-    study.tell(19, row(19))
-    assert (len(study.history), len(study.state.picks)) == (2, 0)
-    pick = study.ask()
-    assert pick.source not in (0, 19)
 
 
 def test_telling_a_source_that_is_pending_answers_its_pick():
@@ -113,26 +98,6 @@ def test_unusable_returns_are_refused_and_the_pick_stays_open(returns, words):
     assert study.state.seq == before
     study.tell(pick, row(pick.source))
     assert len(study.history) == 2
-
-
-def test_a_failure_is_recorded_spends_budget_and_is_not_proposed_again():
-    study = new()
-    pick = study.ask()
-    study.fail(pick, "diverged")
-    assert study.state.failures[0].reason == "diverged"
-    told(study, 5)
-    assert pick.source not in study.history.sources
-    assert study.is_finished
-
-
-def test_episodes_are_averaged_and_their_deviation_kept():
-    study = new()
-    pick = study.ask()
-    study.tell(pick, row(pick.source)[:, None] + np.array([-0.1, 0.1]))
-    record = study.state.rows[0]
-    assert record.returns == pytest.approx(row(pick.source))
-    assert record.std == pytest.approx(np.full(N, 0.1 * np.sqrt(2)))  # with n - 1
-    assert record.episodes == 2
 
 
 def test_minimising_picks_as_maximising_the_mirror():
@@ -405,15 +370,6 @@ def test_a_study_ends_where_v_is_as_large_as_it_can_be():
     unasked = study_of(strategy="mbtl")
     tell(unasked, 500.0)
     assert unasked.stop_reason is None
-
-
-def test_a_study_ends_where_all_trainings_left_together_are_predicted_to_gain_nothing():
-    study = study_of(stop_left=0.005)
-    for _ in range(3):
-        tell(study, 400.0)
-    with pytest.raises(StudyFinished, match="all trainings that are left together gain less than"):
-        study.ask()
-    assert study.is_finished
 
 
 def test_a_study_goes_on_while_other_contexts_promise_something():

@@ -1,18 +1,15 @@
 """Trainings that pause and go on are those of the whole length; every step is counted."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from poles import apart, same_policy
 
 import mbtl.engine.learners as engine
-from mbtl.engine import WorldTrainer, worlds
+from mbtl.engine import WorldTrainer
 from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds
 from mbtl.trainers import SB3Trainer
 from mbtl.trainers.contract import CountingTrainer, refusal
-from mbtl.zoo.worlds import CartPole
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CARTPOLE = get_cmdp("cartpole-length", engine="jax").trainer_for(
@@ -78,13 +75,6 @@ def test_a_training_goes_on_from_its_file_after_a_kill(when, tmp_path, monkeypat
     assert same_policy(CARTPOLE.train([POLE], 1, length=length, state=file).policy, whole.policy)
 
 
-def test_who_was_killed_after_the_last_saving_gets_the_same_policy_again(tmp_path):
-    file = tmp_path / "training.npz"
-    first = CARTPOLE.train([POLE], 2, length=0.5, state=file)
-    again = CARTPOLE.train([POLE], 2, length=0.5, state=file)
-    assert (again.steps, same_policy(again.policy, first.policy)) == (first.steps, True)
-
-
 def test_a_training_begins_from_another_policy():
     policy = CARTPOLE.train([POLE], 0, length=1_000 / CARTPOLE.whole).policy
     warm = CARTPOLE.train([{"length": 1.0}], 1, length=128 / CARTPOLE.whole, start=policy).policy
@@ -115,30 +105,6 @@ def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
     expected, counted = peer.evaluate_steps(policy, contexts, seeds)
     np.testing.assert_allclose(returns, expected, rtol=1e-3)
     assert np.array_equal(steps, counted)
-
-
-def test_steps_are_no_returns():
-    policy = CARTPOLE.train([POLE], 0, length=500 / CARTPOLE.whole).policy
-    double = WorldTrainer(_Doubled(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
-    returns, steps = double.evaluate_steps(policy, [POLE], [5])
-    assert np.array_equal(returns, 2 * steps)
-
-
-@dataclass(frozen=True)
-class _Double(CartPole):
-    """Two points per step."""
-
-    def step(self, state, action, params):
-        moved = super().step(state, action, params)
-        return moved._replace(reward=2 * moved.reward)
-
-
-@dataclass(frozen=True)
-class _Doubled:
-    problem: object
-
-    def __call__(self, contexts):
-        return worlds.Solo(_Double()), self.problem(contexts)[1]
 
 
 BY_EPISODES = {

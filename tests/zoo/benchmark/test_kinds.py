@@ -132,20 +132,6 @@ def test_the_command_builds_the_kinds_asked_for_in_their_folder(tmp_path, monkey
     np.testing.assert_array_equal(longer.generalists[1.0], data.generalists[1.0])
 
 
-@pytest.mark.long
-def test_the_command_writes_the_files_once_all_kinds_are_there(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0, 4.0))
-    given = "matrix build cartpole-length --with cartpole-masscart --preset quick --every 50 --json"
-    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --lanes 100 --kinds all"
-    built = CliRunner().invoke(app, [*given.split(), *own.split()])
-    files = [each["file"] for each in json.loads(built.stdout)["transfers"]]
-    assert files == [
-        f"matrices/transfers/{n}-seed0.npz" for n in ("cartpole-length", "cartpole-masscart")
-    ]
-    assert load_transfers("cartpole-masscart", folder="matrices/transfers").n == 2
-
-
 def test_copies_need_their_parents(tmp_path):
     one = build(tmp_path, ids=IDS[:1])
     with pytest.raises(InvalidInput, match="build the kind generalists first"):

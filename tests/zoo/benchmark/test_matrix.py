@@ -128,6 +128,7 @@ GOOD = np.zeros((1, 3, 3))
         ({"returns": GOOD, "contexts": [[0], [1], [2]], "axes": ["a", "b"]}, "1 names"),
         ({"returns": GOOD, "axes": ["a", "b"]}, "need `contexts`"),
         ({"returns": GOOD, "std": np.zeros((1, 3))}, "shape of returns"),
+        ({"returns": GOOD, "std": -np.ones((1, 3, 3))}, "std must be deviations from 0"),
         ({"returns": GOOD, "space": '{"axes": 3}'}, "space"),
         ({"returns": GOOD, "provenance": "[1]"}, "JSON object"),
     ],

@@ -127,27 +127,3 @@ def test_axes_are_read_as_written():
     for text in ("", "=0:1", "x", "x=", "x=1", "x=a:b", "x=2:1"):
         with pytest.raises(InvalidInput):
             parse_axis(text)
-
-
-def test_cmdps_of_packages_are_listed_and_run_and_a_broken_one_hides_nothing(
-    mbtl_command, tmp_path, monkeypatch
-):
-    (tmp_path / "hills.py").write_text(
-        "from mbtl import CMDP, ContextSpace, Linear\n"
-        "hill = CMDP.from_functions('hill-slope', ContextSpace.grid({Linear('slope', 0, 3): 4}),\n"
-        "    train=lambda context, seed: context['slope'], bounds=(-3.0, 0.0),\n"
-        "    evaluate=lambda policy, all_, seeds: [-abs(policy - c['slope']) for c in all_])\n"
-    )
-    info = tmp_path / "hills-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hills\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[mbtl.cmdps]\nhill-slope = hills:hill\nhill-gone = hills:gone\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    code, out, err = mbtl_command("cmdps")
-    assert (code, "hill-slope" in out, "cartpole-length" in out) == (0, True, True)
-    assert "left out: CMDP 'hill-gone' of the package 'hills' cannot be loaded" in err
-    assert "slope 0..3" in mbtl_command("cmdps", "hill-slope")[1]
-    code, out, err = mbtl_command("run", "hill-slope", "--budget", 2, "--json")
-    assert code == 0, err

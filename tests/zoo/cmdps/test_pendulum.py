@@ -44,15 +44,3 @@ def test_an_episode_is_200_steps_whatever_the_time_step():
         env.reset(seed=0)
         ends = [env.step(NOTHING)[2:4] for _ in range(200)]
         assert ends == [(False, False)] * 199 + [end]
-
-
-def test_speed_and_torque_are_clipped():
-    env = Pendulum({"length": 0.1})
-    env.reset(seed=0)
-    env.state = (math.pi / 2, 7.9)
-    env.step(np.array([100.0]))
-    assert env.state[1] == 8.0
-    env.state, twin = (1.0, 0.0), Pendulum({"length": 0.1})
-    twin.reset(seed=0)
-    twin.state = (1.0, 0.0)
-    assert env.step(np.array([100.0]))[1] == twin.step(np.array([2.0]))[1]

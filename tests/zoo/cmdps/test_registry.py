@@ -9,62 +9,61 @@ from gymnasium.utils.env_checker import check_env
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.problems import cmdp_ids, get_cmdp
 from mbtl.zoo.cmdps import gym_id
+from mbtl.zoo.cmdps.families import TRAFFIC_VARIANTS
 
-
-@pytest.mark.parametrize(
-    ("id", "axis", "unit", "first", "last", "nominal"),
-    [
-        ("cartpole-masscart", "masscart", "kg", 0.1, 10.0, 1.0),
-        ("cartpole-length", "length", "m", 0.05, 5.0, 0.5),
-        ("cartpole-masspole", "masspole", "kg", 0.01, 1.0, 0.1),
-        ("pendulum-length", "length", "m", 0.1, 10.0, 1.0),
-        ("pendulum-mass", "mass", "kg", 0.1, 10.0, 1.0),
-        ("pendulum-timestep", "timestep", "s", 0.005, 0.5, 0.05),
-    ],
-)
-def test_grids_and_constants_of_the_paper(id, axis, unit, first, last, nominal):
-    cmdp = get_cmdp(id)
-    values = cmdp.space.values(axis)
-    assert len(values) == 100
-    assert (values[0], values[-1], values[9]) == (first, last, nominal)
-    np.testing.assert_allclose(values, first * np.arange(1, 101), rtol=1e-12)
-    assert all(len(repr(value)) <= 5 for value in values), "contexts print as they are meant"
-    assert cmdp.space.axes[0].unit == unit
-    assert cmdp.nominal == cmdp.unit == {axis: nominal}
-    assert cmdp.theta == 0.005
-    cartpole = id.startswith("cartpole")
-    assert cmdp.bounds == ((0.0, 500.0) if cartpole else (-2200.0, -500.0))
-    assert cmdp.horizon == (500 if cartpole else 200)
-
-
-TRAFFIC = {
-    # id: axis, unit, N, first, last, unit of the multiplier, nominal, bounds, theta (spec, 2)
-    "signal-length": ("length", "m", 50, 50.0, 2500.0, 500.0, 750.0, (-120.0, 0.0), 0.001),
-    "signal-inflow": ("inflow", "cars", 50, 50.0, 2500.0, 500.0, 1000.0, (-120.0, 0.0), 0.001),
-    "signal-speed": ("speed", "m/s", 50, 0.5, 25.0, 5.0, 14.0, (-120.0, 0.0), 0.001),
-    "eco-penetration": ("penetration", "share", 50, 0.02, 1.0, 0.2, 0.2, (0.0, 14.0), 0.005),
-    "eco-inflow": ("inflow", "veh/h", 50, 40.0, 2000.0, 400.0, 400.0, (0.0, 14.0), 0.005),
-    "eco-green": ("green", "s", 50, 1.0, 50.0, 10.0, 35.0, (0.0, 14.0), 0.005),
-    "ring-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
-    "ring-vel": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
-    "ramp-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 8.78), 0.005),
-    "ramp-vel": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 8.78), 0.005),
+GRIDS = {
+    # id: axis, its unit, N, first value, unit of the multiplier, nominal, bounds, theta, horizon
+    "cartpole-masscart": ("masscart", "kg", 100, 0.1, 1.0, 1.0, (0.0, 500.0), 0.005, 500),
+    "cartpole-length": ("length", "m", 100, 0.05, 0.5, 0.5, (0.0, 500.0), 0.005, 500),
+    "cartpole-masspole": ("masspole", "kg", 100, 0.01, 0.1, 0.1, (0.0, 500.0), 0.005, 500),
+    "pendulum-length": ("length", "m", 100, 0.1, 1.0, 1.0, (-2200.0, -500.0), 0.005, 200),
+    "pendulum-mass": ("mass", "kg", 100, 0.1, 1.0, 1.0, (-2200.0, -500.0), 0.005, 200),
+    "pendulum-timestep": ("timestep", "s", 100, 0.005, 0.05, 0.05, (-2200.0, -500.0), 0.005, 200),
+    "walker-gravity": ("gravity", "m/s^2", 100, 0.2, 2.0, 10.0, (-150.0, 300.0), 0.005, 1000),
+    "walker-friction": ("friction", "1", 100, 0.1, 1.0, 2.5, (-150.0, 300.0), 0.005, 1000),
+    "walker-scale": ("scale", "px/m", 100, 1.0, 10.0, 30.0, (-150.0, 300.0), 0.005, 1000),
+    "signal-length": ("length", "m", 50, 50.0, 500.0, 750.0, (-120.0, 0.0), 0.001, 540),
+    "signal-inflow": ("inflow", "cars", 50, 50.0, 500.0, 1000.0, (-120.0, 0.0), 0.001, 540),
+    "signal-speed": ("speed", "m/s", 50, 0.5, 5.0, 14.0, (-120.0, 0.0), 0.001, 540),
+    "eco-penetration": ("penetration", "share", 50, 0.02, 0.2, 0.2, (0.0, 14.0), 0.005, 1500),
+    "eco-inflow": ("inflow", "veh/h", 50, 40.0, 400.0, 400.0, (0.0, 14.0), 0.005, 1500),
+    "eco-green": ("green", "s", 50, 1.0, 10.0, 35.0, (0.0, 14.0), 0.005, 1500),
+    "ring-acc": ("hold", "s", 40, 1.0, 10.0, 1.0, (0.0, 4.5), 0.005, 400),
+    "ring-vel": ("hold", "s", 40, 1.0, 10.0, 1.0, (0.0, 4.5), 0.005, 400),
+    "ramp-acc": ("hold", "s", 40, 1.0, 10.0, 1.0, (0.0, 8.78), 0.005, 400),
+    "ramp-vel": ("hold", "s", 40, 1.0, 10.0, 1.0, (0.0, 8.78), 0.005, 400),
 }
 
 
-@pytest.mark.parametrize("id", TRAFFIC)
-def test_grids_and_constants_of_traffic(id):
-    axis, physical, n, first, last, unit, nominal, bounds, theta = TRAFFIC[id]
+@pytest.mark.parametrize("id", GRIDS)
+def test_grids_and_constants_of_the_paper(id):
+    axis, physical, n, first, unit, nominal, bounds, theta, horizon = GRIDS[id]
     cmdp = get_cmdp(id)
     values = cmdp.space.values(axis)
-    assert (len(values), values[0], values[-1]) == (n, first, last)
+    np.testing.assert_allclose(values, first * np.arange(1, n + 1), rtol=1e-12)
+    assert all(len(repr(value)) <= 6 for value in values), "contexts print as they are meant"
     assert cmdp.space.axes[0].unit == physical
     assert (cmdp.unit, cmdp.nominal) == ({axis: unit}, {axis: nominal})
-    assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
-    shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
-    assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
-    assert cmdp.version == {"signal": 4, "eco": 2}.get(cmdp.family, 1)
-    assert cmdp.floor == (-120.0 if cmdp.family == "signal" else None)
+    assert (cmdp.bounds, cmdp.theta, cmdp.horizon) == (bounds, theta, horizon)
+    if id in TRAFFIC_VARIANTS:
+        shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
+        assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
+        assert cmdp.version == {"signal": 4, "eco": 2}.get(cmdp.family, 1)
+        assert cmdp.floor == (-120.0 if cmdp.family == "signal" else None)
+
+
+@pytest.mark.parametrize(
+    ("id", "multipliers", "digits"),
+    [("walker-512", range(1, 9), 12), ("cartpole-masses-length", range(1, 11), 2)],
+)
+def test_grids_of_several_axes_are_multiples_of_the_nominal_values(id, multipliers, digits):
+    cmdp = get_cmdp(id)
+    assert cmdp.unit == cmdp.nominal
+    for axis, nominal in cmdp.nominal.items():
+        expected = [round(nominal * 0.2 * k, digits) for k in multipliers]
+        if axis == "length":
+            del expected[0]  # as in the scripts of SD-MBTL, which round so, too
+        np.testing.assert_allclose(np.unique(cmdp.space.values(axis)), expected, rtol=1e-12)
 
 
 def test_the_paper_s_scores_are_switches_with_their_own_bounds():
@@ -89,7 +88,7 @@ def test_all_ids():
     control = ["cartpole-masscart", "cartpole-length", "cartpole-masspole"]
     control += ["cartpole-masses-length"]
     control += ["pendulum-length", "pendulum-mass", "pendulum-timestep"]
-    assert cmdp_ids() == [*control, *ROBOTS, *TRAFFIC]
+    assert cmdp_ids() == [*control, *ROBOTS, *TRAFFIC_VARIANTS]
 
 
 def test_where_the_paper_s_text_and_scripts_disagree():
@@ -206,7 +205,7 @@ def test_gymnasium_makes_them_with_a_context():
     assert hidden.observation_space.shape == (3,)
 
 
-@pytest.mark.parametrize("id", [id for id in cmdp_ids() if id not in TRAFFIC])
+@pytest.mark.parametrize("id", [id for id in cmdp_ids() if id not in TRAFFIC_VARIANTS])
 @pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
 @pytest.mark.filterwarnings(
     "ignore:.*symmetric and normalized space"

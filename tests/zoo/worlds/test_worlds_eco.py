@@ -10,10 +10,10 @@ import pytest
 
 from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
-from mbtl.zoo.cmdps.traffic.eco import LIMIT
+from mbtl.zoo.cmdps.traffic.eco import LIMIT, light
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
 from mbtl.zoo.worlds.traffic import eco, lane
-from mbtl.zoo.worlds.traffic.eco import Costs, EcoParams
+from mbtl.zoo.worlds.traffic.eco import Costs, EcoParams, Light
 
 SEEDS = jnp.arange(8, dtype=jnp.uint32)
 
@@ -73,6 +73,19 @@ def test_what_is_seen_of_the_context(visibility, size):
 
 
 # ---- signals and arrivals ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("green", [1.0, 35.0])
+def test_the_light_is_that_of_the_corridor(green):
+    ours, theirs = Light(3.0, 35.0), light(green)
+    times = np.arange(0.0, 160.0, 0.5)
+    greens = jnp.full(len(times), green)
+    seen = np.stack(ours.seen(greens, jnp.asarray(times, jnp.float32)), axis=1)
+    side = np.asarray(ours.side(greens, jnp.asarray(times, jnp.float32)))
+    for k, time in enumerate(times):
+        assert seen[k, :3].tolist() == np.eye(3)[theirs.phase(time)].tolist()
+        assert seen[k, 3:] == pytest.approx(theirs.changes(time))
+        assert side[k] == (green + 3.0 <= time % theirs.cycle < green + 38.0)
 
 
 def test_arrivals_are_poisson_and_drivers_as_the_population_says(twin):
