@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import InvalidInput
 from mbtl.routing import last_route, routes
 from mbtl.selectors import Traits
 from mbtl.zoo.benchmark import (
     TransferMatrix,
     compare,
     levels,
-    load_matrix,
     random_curve,
-    save_shipped,
     sequential_oracle,
 )
 
@@ -97,33 +94,3 @@ def test_episodes_become_two_halves_of_equal_rank():
     assert matrix.std == pytest.approx(episodes.std(axis=3, ddof=1))
     assert matrix.references["unguided"][:, 1] == pytest.approx(alone[..., 2:].mean(axis=2))
     assert matrix.caveat is None
-
-
-def test_everything_survives_a_file_and_a_shipped_set(tmp_path):
-    episodes = np.random.default_rng(0).normal(size=(2, 3, 3, 4))
-    matrix = TransferMatrix.of_episodes(
-        episodes, references={"unguided": episodes[:, 1]}, bounds=(-1, 1)
-    )
-    matrix.save(tmp_path / "m.npz")
-    save_shipped(matrix, tmp_path, "mine")
-    for back in (TransferMatrix.load(tmp_path / "m.npz"), load_matrix("mine", folder=tmp_path)):
-        assert back.returns == pytest.approx(matrix.returns, abs=1e-6)
-        assert back.fresh_returns == pytest.approx(matrix.fresh_returns, abs=1e-6)
-        assert back.references["unguided"] == pytest.approx(matrix.references["unguided"], abs=1e-6)
-        assert back.episodes == (2, 2)
-    assert load_matrix("mine", folder=tmp_path).fresh_returns.dtype == np.float32
-
-
-@pytest.mark.parametrize(
-    ("entries", "match"),
-    [
-        ({"fresh_returns": np.zeros((1, 2, 2))}, "fresh_returns must have the shape"),
-        ({"fresh_returns": np.full((1, 3, 3), np.nan)}, "fresh_returns must be finite"),
-        ({"episodes": [2, 3]}, "1 whole number"),
-        ({"episodes": [0]}, "1 whole number"),
-        ({"references": {"unguided": np.zeros((1, 2, 3))}}, "reference_unguided must be"),
-    ],
-)
-def test_entries_that_break_a_rule_are_named(entries, match):
-    with pytest.raises(InvalidInput, match=match):
-        TransferMatrix.of(np.zeros((1, 3, 3)), **entries)

@@ -6,7 +6,7 @@ import pytest
 from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds
-from mbtl.zoo.benchmark import TransferMatrix
+from mbtl.zoo.benchmark import TransferMatrix, load_matrix, save_shipped
 
 
 @pytest.fixture
@@ -65,33 +65,57 @@ def test_a_grid_of_contexts_gives_grid_steps():
     assert np.array_equal(matrix.contexts, contexts)
 
 
-def test_save_and_load_give_back_everything(tmp_path, returns):
+def matrices():
+    """One of every kind, by what is special about it."""
+    rng = np.random.default_rng(1)
+    returns = rng.uniform(0.1, 0.9, (2, 4, 8)).astype(np.float32)
+    square, bounds = returns[:, :, :4], (-5, 5)
     space = ContextSpace.grid({Log("mass", 0.1, 10, "kg"): 4}, weights=[1, 2, 3, 4])
-    matrix = TransferMatrix.of(
-        returns.astype(np.float32), space=space, bounds=(-5, 5), theta=0.01, direction="min",
-        std=np.ones_like(returns, dtype=np.float32), provenance={"command": "mbtl matrix build é"},
+    seeds = {"seeds": [{"command": f"mbtl matrix build \u00e9 {seed}"} for seed in range(2)]}
+    yield TransferMatrix.of(
+        square, space=space, bounds=bounds, theta=0.01, direction="min", std=square,
+        provenance=seeds, name="everything told",
     )  # fmt: skip
+    roads = ContextSpace.grid({Categorical("road", tuple("abcd")): tuple("abcd")})
+    yield TransferMatrix.of(square, space=roads, bounds=bounds, name="categories")
+    yield TransferMatrix.of(
+        returns, fresh_returns=returns / 2, sources=[0, 2, 5, 7], bounds=bounds, name="few sources"
+    )
+    episodes = rng.normal(size=(2, 4, 4, 5)).astype(np.float32)
+    yield TransferMatrix.of_episodes(
+        episodes, references={"unguided": episodes[:, 1]}, bounds=bounds, name="episodes"
+    )
+
+
+@pytest.mark.parametrize("matrix", list(matrices()), ids=lambda matrix: matrix.name)
+def test_files_give_back_everything(tmp_path, matrix):
     matrix.save(tmp_path / "m.npz")
-    back = TransferMatrix.load(tmp_path / "m.npz")
-    assert back.returns.dtype == np.float32
-    assert np.array_equal(back.returns, matrix.returns)
-    assert np.array_equal(back.std, matrix.std)
-    assert back.space == space
-    assert (back.bounds, back.theta) == (matrix.bounds, 0.01)
-    assert back.provenance == {"command": "mbtl matrix build é"}
-    # and a stranger can read it with numpy alone
+    paths = save_shipped(matrix, tmp_path / "new", "mine", "hidden")
+    assert [path.name for path in paths] == [f"mine-hidden-seed{seed}.npz" for seed in range(2)]
+    shipped = load_matrix("mine", "hidden", folder=tmp_path / "new")
+    assert (shipped.name, shipped.returns.dtype) == ("mine-hidden", np.float32)
+    for again in (TransferMatrix.load(tmp_path / "m.npz"), shipped):
+        for name in ("returns", "fresh_returns", "std", "sources"):
+            found, wanted = getattr(again, name), getattr(matrix, name)
+            assert (found is None) == (wanted is None), name
+            assert found is None or found == pytest.approx(wanted, abs=1e-6), name
+        assert again.space == matrix.space
+        assert (again.bounds, again.theta) == (matrix.bounds, matrix.theta)
+        assert again.episodes == matrix.episodes
+        assert list(again.references) == list(matrix.references)
+        for way, returns in matrix.references.items():
+            assert again.references[way] == pytest.approx(returns, abs=1e-6)
+        assert again.records == matrix.records
+
+
+def test_a_stranger_reads_a_file_with_numpy_alone_and_categories_are_no_numbers(tmp_path):
+    whole, categories, *_ = matrices()
+    whole.save(tmp_path / "m.npz")
     with np.load(tmp_path / "m.npz", allow_pickle=False) as entries:
         assert entries["contexts"].shape == (4, 1)
         assert str(entries["direction"]) == "min"
-
-
-def test_categorical_contexts_survive_a_file(tmp_path):
-    space = ContextSpace.grid({Categorical("road", ("dry", "wet")): ("dry", "wet")})
-    matrix = TransferMatrix.of(np.eye(2)[None], space=space)
-    matrix.save(tmp_path / "m.npz")
-    assert TransferMatrix.load(tmp_path / "m.npz").space == space
     with pytest.raises(InvalidInput, match="categorical"):
-        _ = matrix.contexts
+        _ = categories.contexts
 
 
 def test_equal_matrices_give_equal_bytes(tmp_path, returns):
@@ -108,6 +132,7 @@ def test_returns_cannot_be_changed_through_the_matrix_and_callers_keep_their_arr
 
 
 GOOD = np.zeros((1, 3, 3))
+ODD_SOURCES = ([0, 2, 5], [0, 2, 7, 5], [0, 2, 5, 8], [-1, 2, 5, 7], [0.0, 2.0, 5.0, 7.0])
 
 
 @pytest.mark.parametrize(
@@ -130,6 +155,12 @@ GOOD = np.zeros((1, 3, 3))
         ({"returns": GOOD, "std": np.zeros((1, 3))}, "shape of returns"),
         ({"returns": GOOD, "std": -np.ones((1, 3, 3))}, "std must be deviations from 0"),
         ({"returns": GOOD, "space": '{"axes": 3}'}, "space"),
+        ({"returns": GOOD, "fresh_returns": np.zeros((1, 2, 2))}, "must have the shape"),
+        ({"returns": GOOD, "fresh_returns": np.nan * GOOD}, "fresh_returns must be finite"),
+        *(({"returns": GOOD, "episodes": odd}, "1 whole number") for odd in ([2, 3], [0])),
+        ({"returns": GOOD, "reference_unguided": np.zeros((1, 2, 3))}, "reference_unguided must"),
+        *(({"returns": np.zeros((1, 4, 8)), "sources": odd}, "sources") for odd in ODD_SOURCES),
+        ({"returns": np.zeros((1, 4, 8))}, "sources"),
         ({"returns": GOOD, "provenance": "[1]"}, "JSON object"),
     ],
 )

@@ -18,19 +18,6 @@ def matrix():
     )  # fmt: skip
 
 
-def test_round_trip_one_file_per_seed(tmp_path, matrix):
-    paths = save_shipped(matrix, tmp_path / "new", "cartpole-length", "hidden")
-    assert [p.name for p in paths] == [f"cartpole-length-hidden-seed{s}.npz" for s in range(3)]
-    back = load_matrix("cartpole-length", "hidden", folder=tmp_path / "new")
-    assert back.returns.dtype == np.float32
-    assert np.array_equal(back.returns, matrix.returns.astype(np.float32))
-    assert np.array_equal(back.std, matrix.std.astype(np.float32))
-    assert back.space == matrix.space
-    assert (back.bounds, back.theta) == (matrix.bounds, matrix.theta)
-    assert back.provenance == matrix.provenance
-    assert back.name == "cartpole-length-hidden"
-
-
 def test_seeds_built_apart_are_stacked_in_order(tmp_path, matrix):
     for s in (10, 9):  # 9 sorts after 10 as text
         one = TransferMatrix.of(matrix.returns[:1] + s, provenance={"seed": s}, bounds=(0, 20))

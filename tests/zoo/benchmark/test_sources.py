@@ -76,19 +76,3 @@ def test_a_comparison_runs_on_it(matrix):
     assert all(set(run.sources) <= set(SOURCES) for run in found.results)
     with pytest.raises(InvalidInput, match=r"trainable contexts \(4\)"):
         matrix.problem(5)
-
-
-def test_a_file_reads_back(matrix, tmp_path):
-    matrix.save(tmp_path / "some.npz")
-    again = TransferMatrix.load(tmp_path / "some.npz")
-    np.testing.assert_array_equal(again.sources, SOURCES)
-    np.testing.assert_array_equal(again.returns, matrix.returns)
-    assert TransferMatrix.of(np.zeros((1, 2, 2)), sources=[0, 1], bounds=(0, 1)).sources is None
-
-
-@pytest.mark.parametrize(
-    "sources", [None, [0, 2, 5], [0, 2, 7, 5], [0, 2, 5, 8], [-1, 2, 5, 7], [0.0, 2.0, 5.0, 7.0]]
-)
-def test_rows_without_their_contexts_are_refused(sources):
-    with pytest.raises(InvalidInput, match="sources"):
-        TransferMatrix.of(np.zeros((1, 4, 8)), sources=sources, bounds=(0, 1))
