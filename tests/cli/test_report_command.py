@@ -73,18 +73,6 @@ def test_a_database_of_several_studies_shows_those_that_are_named(mbtl_command, 
     assert json.loads(out)["subjects"] == ["third", "s"]
 
 
-def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, stored):
-    code, _, err = mbtl_command("report", ".")
-    assert code == 1
-    assert "give one of those below: s" in " ".join(err.split())
-    (tmp_path / "matrices").mkdir()
-    (tmp_path / "matrices" / "m.npz").touch()
-    for command in (["report", "matrices"], ["bench", "--matrix", "matrices"]):
-        code, _, err = mbtl_command(*command)
-        assert code == 2
-        assert "matrices is a folder; give one that it holds: m.npz" in " ".join(err.split())
-
-
 def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_path):
     paid = mbtl.create_study(
         SPACE, budget=mbtl.Steps(1000, unit=100, horizon=5), strategy="all-first",

@@ -5,7 +5,6 @@ import importlib
 import io
 import json
 import shutil
-import sqlite3
 import sys
 from pathlib import Path
 from unittest import mock
@@ -231,30 +230,14 @@ def test_a_folder_that_cannot_be_is_one_sentence(mbtl_command, own, tmp_path, st
         assert (code, "Traceback" in err) == (2 if len(study) != 230 else 1, False)
 
 
-@pytest.mark.parametrize(
-    ("command", "place", "code", "words"),
-    [
-        ("run", "corrupt", 1, "corrupt or not a study database"),
-        ("run", "file/inside", 1, "choose another"),
-        ("run", "thesis", 2, "not a study"),
-        ("study show", "runs/none", 1, "there is none at"),
-        ("study show", "empty", 1, "without mbtl studies"),
-    ],
-)
-def test_a_place_that_holds_no_study_is_named_and_left_alone(
-    mbtl_command, own, tmp_path, command, place, code, words
-):
-    for folder in ("corrupt", "thesis", "empty"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "corrupt" / "study.db").write_bytes(b"not a database" * 300)
-    (tmp_path / "file").write_text("")
+def test_a_folder_of_something_else_is_left_alone(mbtl_command, own, tmp_path):
+    """Other places without a study: tests/study/test_storage.py."""
+    (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("do not touch")
-    with sqlite3.connect(tmp_path / "empty" / "study.db") as other:
-        other.execute("CREATE TABLE t (x)")
-    other.close()
-    arguments = ["run", own, "--study", place] if command == "run" else ["study", "show", place]
-    found, _, err = mbtl_command(*arguments)
-    assert (found, words in " ".join(err.split())) == (code, True)
+    code, _, err = mbtl_command("run", own, "--study", "thesis")
+    assert (code, "not a study" in " ".join(err.split())) == (2, True)
+    code, _, err = mbtl_command("study", "show", "thesis")
+    assert (code, "there is none at" in " ".join(err.split())) == (1, True)
 
 
 def test_no_studies_is_not_an_error(mbtl_command):

@@ -101,15 +101,6 @@ def test_an_evaluation_is_the_simulator_itself_in_each_context():
         np.testing.assert_allclose(found, wanted, rtol=1e-4)
 
 
-def test_episodes_follow_from_their_seeds_alone():
-    trainer = boat().trainer
-    policies = [trainer.untrained(AXES.context(0)), trainer.untrained(AXES.context(1))]
-    together = trainer.evaluate_many(policies, AXES.contexts, range(4))
-    alone = trainer.evaluate(policies[0], [AXES.context(2)], [2])
-    np.testing.assert_array_equal(together[0, 2], alone[0])
-    assert len(np.unique(together[0])) == together[0].size
-
-
 def test_the_gymnasium_environment_plays_the_episodes_of_evaluations():
     problem, context = boat(), AXES.context(3)
     policy = problem.trainer.untrained(context)

@@ -76,14 +76,6 @@ def test_likelihood_equals_the_dense_formula():
     assert gp.lml == pytest.approx(expected)
 
 
-def test_posterior_interpolates_and_forgets():
-    gp = fit_gp([10.0, 20.0], [0.9, 0.8])
-    mean, std = gp.predict(np.array([[10.0], [20.0], [1e6]]))
-    assert mean == pytest.approx([0.9, 0.8, 0.0], abs=1e-4)
-    assert std[:2] == pytest.approx([0, 0], abs=2e-3)
-    assert std[2] == pytest.approx(np.sqrt(gp.amplitude))
-
-
 def test_posterior_of_one_point_in_closed_form():
     gp = FittedGP(np.array([[0.0]]), np.array([2.0]), 1.0, 1.0, 0.25)
     mean, std = gp.predict(np.array([[1.0]]))

@@ -15,10 +15,8 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnsavedPolicies
 from mbtl.seeds import training_seed
-from mbtl.selectors import MBTL
 from mbtl.study import Callback
-from mbtl.study.closing_report import ReportPlan, fresh_value
-from mbtl.study.create import describe_selector
+from mbtl.study.closing_report import fresh_value
 from mbtl.trainers import Progress
 
 SPACE, TRAINER = quick_problem.SPACE, quick_problem.TRAINER
@@ -90,15 +88,6 @@ def test_policies_that_cannot_be_saved_stay_in_memory_and_that_is_said_at_once(t
     assert later.explain({"mass": 1.0}).predicted_return < 0
     with pytest.raises(mbtl.MbtlError, match="not saved"):
         later.policy_for({"mass": 1.0})
-
-
-def test_policies_are_evaluated_afresh_where_they_serve_and_the_best_one_everywhere():
-    plan = ReportPlan(np.array([2, 1, 0, 1]), best_single=1, contexts=np.arange(4))
-    assert [plan.targets(i).tolist() for i in range(3)] == [[2], [0, 1, 2, 3], [0]]
-    assert plan.evaluations == 6
-    some = ReportPlan(plan.route, 1, np.array([0, 3]))
-    assert some.policies == [1, 2]
-    assert [some.targets(i).tolist() for i in range(3)] == [[], [0, 3], [0]]
 
 
 def scaled(factor):
@@ -189,11 +178,6 @@ def test_settings_read_back_as_they_compare(tmp_path):
         new(tmp_path / "by_value.db", settings={"rate": rate}, name=type(rate).__name__)
     with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'source:"):
         new(tmp_path / "by_value.db", settings={"rate": lambda left: 1e-3}, name="function")
-
-
-def test_only_changed_settings_of_a_selector_are_stored():
-    assert describe_selector(MBTL()) == {"name": "mbtl"}
-    assert describe_selector(MBTL(warm_up=1)) == {"name": "mbtl", "warm_up": 1}
 
 
 def test_a_report_that_does_not_fit_the_rows_is_refused_and_a_new_row_makes_it_void():

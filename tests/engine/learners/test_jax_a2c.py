@@ -12,7 +12,6 @@ from poles import params_of, single
 import mbtl.engine.learners as engine
 from mbtl.engine import worlds
 from mbtl.engine.learners import a2c, rollout
-from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole
 
@@ -148,8 +147,4 @@ def test_recipes_have_stable_baselines3s_defaults(algorithm):
 def test_recipes_are_found_by_algorithm_and_name():
     assert engine.recipe_named("A2C", "sb3") == engine.A2CRecipe()
     assert engine.recipe_named("A2C", "fast").record["hidden"] == [64, 64]
-    with pytest.raises(UnknownName, match="Known: A2C, DQN, PPO"):
-        engine.recipe_named("SARSA", "sb3")
-    with pytest.raises(InvalidInput, match="n_steps must be >= 1, got 0"):
-        engine.A2CRecipe(n_steps=0)
     assert engine.A2CRecipe(n_envs=3, n_steps=5).update_length == 270  # whole rollouts >= 256

@@ -13,9 +13,8 @@ import mbtl.engine.learners as engine
 from mbtl.engine import worlds
 from mbtl.engine.learners import dqn, networks
 from mbtl.engine.learners.clock import Pace, clock_at
-from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole
-from mbtl.zoo.worlds import CartPole, Pendulum
+from mbtl.zoo.worlds import CartPole
 
 # one round is an update, and an update is shorter than the ring
 TINY = engine.DQNRecipe(
@@ -200,14 +199,3 @@ def test_cartpole_is_learnt_and_the_policy_acts_in_numpy():
 
 
 # ---- recipes -------------------------------------------------------------------------------------
-
-
-def test_bad_recipes_and_continuous_actions_are_refused():
-    with pytest.raises(InvalidInput, match="multiple of n_envs x train_freq = 256, got 600"):
-        replace(TINY, buffer_size=600)
-    with pytest.raises(InvalidInput, match="target_every must be >= 1, got 0"):
-        replace(TINY, target_every=0)
-    env = worlds.Solo(Pendulum())
-    params = worlds.stack_params(env, [dict.fromkeys(env.params._fields[:-1], 1.0)])
-    with pytest.raises(InvalidInput, match="DQN must have discrete actions"):
-        engine.start(env, TINY, [0], params)

@@ -11,7 +11,6 @@ from mbtl.engine.learners.episodic import dqn
 from mbtl.engine.learners.episodic.episodes import Episodes
 from mbtl.engine.learners.recipes import EpisodicDQNRecipe
 from mbtl.engine.worlds.environments import Discrete
-from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 
 CHOICES = Discrete(3)
@@ -146,9 +145,3 @@ def test_contexts_of_the_ring_are_trained_together_and_act_greedily():
     assert not np.array_equal(policies[0].weights[-1], fresh.weights[-1])
     again = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
     np.testing.assert_array_equal(policies[1].weights[0], again[1].weights[0])
-
-
-def test_accelerations_are_refused():
-    trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick", algorithm="DQN", episodes=1)
-    with pytest.raises(InvalidInput, match="discrete"):
-        trainer.train([{"hold": 5.0}], seed=0)

@@ -15,7 +15,6 @@ from mbtl.engine.learners.episodic.returns import Returns
 from mbtl.engine.learners.networks import kl
 from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe
 from mbtl.engine.worlds.environments import Box
-from mbtl.errors import InvalidInput
 
 BOX = Box((-1.0,), (1.0,))
 D, A = 60, 3
@@ -132,8 +131,3 @@ def test_a2c_is_one_step_along_the_policy_gradient():
         clear = np.abs(g) > 1e-4  # Adam's first step is the sign of the gradient
         np.testing.assert_array_equal(np.sign(before - after)[clear], np.sign(g)[clear])
         np.testing.assert_allclose(np.abs(before - after)[clear], recipe.learning_rate, rtol=0.05)
-
-
-def test_minibatches_must_fill_the_rows():
-    with pytest.raises(InvalidInput, match="rows = 100"):
-        EpisodicPPORecipe(rows=100, minibatches=40)

@@ -13,7 +13,7 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.episodic.episodes import Actor, record
 from mbtl.engine.learners.export import lawful
 from mbtl.engine.worlds.environments import Box, Law
-from mbtl.errors import InvalidInput, UnknownName
+from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.traffic import eco
 from mbtl.zoo.worlds.pendulum import Pendulum, PendulumParams
@@ -72,24 +72,10 @@ def test_a_training_begins_with_the_rule_in_accelerations_whatever_else_it_sees(
     assert (policy.head.low, policy.head.high) == (-20.0, 10.0)
 
 
-def test_lessons_and_rules_that_are_not_known_are_refused(cmdp):
-    context = {"green": 20.0}
-    with pytest.raises(UnknownName, match="actions of this world"):
-        cmdp.trainer_for("standard", actions="jerk").train([context], 0)
-    with pytest.raises(UnknownName, match="glide"):
-        cmdp.trainer_for("standard", hyperparameters={"begin": "glyde"}).untrained(context)
-    with pytest.raises(InvalidInput, match="actions='speed'"):
-        cmdp.trainer_for("paper", hyperparameters={"begin": "glide"}).untrained(context)
-    with pytest.raises(InvalidInput, match="layers"):
-        cmdp.trainer_for("standard", hyperparameters={"hidden": (8,)}).untrained(context)
-    ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", hyperparameters={"begin": "x"})
-    with pytest.raises(InvalidInput, match="RingTwin"):
-        ring.untrained({"hold": 5.0})
-
-
 def test_a_lesson_is_part_of_the_recipe_and_no_part_of_older_ones(cmdp):
     assert cmdp.trainer_for("standard").recipe["actions"] == "speed"
     assert {"actions", "reward"}.isdisjoint(cmdp.trainer_for("paper").recipe)
+    assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"
 
 
 def test_deviations_from_the_mean_last_as_many_decisions_as_they_are_held():

@@ -17,7 +17,6 @@ from mbtl.engine.learners.multitask import moore, paco, table
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.engine.worlds.copies import take_turns
-from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.worlds import CartPole
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
@@ -210,10 +209,3 @@ def test_a_checkpoint_is_scored_on_every_context_from_different_states():
     assert len(np.unique(dealt)) > 2
     played = engine.evaluate(CARTPOLE, actor, params, seeds.reshape(5, 2))[0]
     np.testing.assert_array_equal(dealt, played)
-
-
-def test_bad_arguments_are_named():
-    with pytest.raises(UnknownName, match="'paco'"):
-        engine.MultiTaskRecipe(method="pako")
-    with pytest.raises(InvalidInput, match="n_parts must be >= 1"):
-        engine.MultiTaskRecipe(method="moore", n_parts=0)

@@ -11,7 +11,7 @@ from flat import created
 from mbtl.contexts import ContextSpace
 from mbtl.engine import WorldTrainer
 from mbtl.engine.learners import evaluation, saving
-from mbtl.errors import InvalidInput, UnknownName
+from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.study.job import rehearse
@@ -158,19 +158,6 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
         TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2))).mean(axis=1),
         returns[1],
     )
-
-
-def test_bad_options_say_what_is_known():
-    with pytest.raises(UnknownName, match="SAC"):
-        CMDP.trainer_for("quick", algorithm="SAC")
-    with pytest.raises(UnknownName, match="learnig_rate"):
-        CMDP.trainer_for("quick", hyperparameters={"learnig_rate": 1}).train([CONTEXTS[0]], 0)
-    with pytest.raises(UnknownName, match="slow"):
-        CMDP.trainer_for("quick", recipe_name="slow").train([CONTEXTS[0]], 0)
-    with pytest.raises(InvalidInput, match="timesteps"):
-        CMDP.trainer_for("quick", timesteps=0)
-    with pytest.raises(InvalidInput, match="checkpoint"):
-        CMDP.trainer_for("quick", checkpoint="worst")
 
 
 def test_an_untrained_policy_shows_that_evaluation_works():

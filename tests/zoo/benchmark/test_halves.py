@@ -34,13 +34,6 @@ def noisy(n=7, weights=None):
     return halved(seen, fresh, space=space)
 
 
-def test_levels_route_by_one_half_and_measure_on_the_other():
-    known = levels(halved(), 0)
-    assert known.independent == pytest.approx((0.5 + 0.4 + 0.2) / 3)
-    assert known.oracle_transfer == pytest.approx((0.5 + 0.4 + 0.2) / 3)  # sources 0, 1 and 2
-    assert known.grand_mean == pytest.approx(FRESH.mean())
-
-
 @pytest.mark.parametrize("weights", [None, [1, 2, 3, 4, 5, 6, 7]])
 def test_random_curve_equals_enumeration_of_what_would_serve(weights):
     matrix = noisy(weights=weights)

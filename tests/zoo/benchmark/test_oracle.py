@@ -9,7 +9,6 @@ from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput
 from mbtl.zoo.benchmark import (
     TransferMatrix,
-    reference,
     sequential_oracle,
 )
 from mbtl.zoo.benchmark import oracle as oracle_module
@@ -59,15 +58,6 @@ def test_random_weights_stay_exact_where_binomials_overflow():
     assert weights.sum(axis=1) == pytest.approx(np.ones(50), abs=1e-11)
     exact = math.comb(16384 - 900, 49) / math.comb(16384, 50)  # integers, then one division
     assert weights[49, 899] == pytest.approx(exact, rel=1e-11)
-
-
-def test_random_starts_at_the_grand_mean_and_ends_at_oracle_transfer():
-    matrix = noisy(12)
-    known = reference(matrix, 0, 12)
-    assert known.random[0] == pytest.approx(known.levels.grand_mean)
-    assert known.random[-1] == pytest.approx(known.levels.oracle_transfer)
-    assert known.oracle.curve[-1] == pytest.approx(known.levels.oracle_transfer)
-    assert (np.diff(known.random) >= 0).all()
 
 
 def test_budget_must_fit():

@@ -67,12 +67,6 @@ def test_pooling_counts_each_matrix_once_and_needs_intervals_of_all():
     assert s.V_K.low is None
 
 
-def test_pooled_trainings_are_a_geometric_mean_over_matrices():
-    curves = {"a": {"s": np.array([[1.0, 1.0, 1.0, 1.0]])}, "b": {"s": np.array([[0, 0, 0, 1.0]])}}
-    references = {name: [ref([0] * 4, [1] * 4)] for name in curves}
-    assert summarise(curves, references).pooled["s"].k90.estimate.value == pytest.approx(2.0)
-
-
 def test_interval_of_many_seeds_is_that_of_a_mean():
     rng = np.random.default_rng(0)
     values = rng.normal(0.6, 0.1, size=(200, 1))

@@ -46,18 +46,6 @@ def test_derived_constants_at_the_corners(feature, value, total_mass, pole_momen
     assert constants.pole_moment == pytest.approx(pole_moment, rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("visibility", "tail"),
-    [("hidden", []), ("multiplier", [2.4]), ("raw", [9.8, 1.0, 0.1, 1.2, 10.0, 0.02])],
-)
-def test_visible_features_end_every_observation(visibility, tail):
-    env = CartPole({"length": 1.2}, unit={"length": 0.5}, visibility=visibility)
-    for observation in (env.reset(seed=0)[0], env.step(1)[0]):
-        assert observation.dtype == np.float32
-        assert observation.shape == env.observation_space.shape == (4 + len(tail),)
-        np.testing.assert_allclose(observation[4:], tail, rtol=1e-6)
-
-
 def run_balanced(env):
     """Hold the state upright so that only the clock can end the episode."""
     env.reset(seed=0)

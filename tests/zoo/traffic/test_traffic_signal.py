@@ -150,16 +150,6 @@ def test_lights_of_sumos_own_stand_beside_policies(make):
         env.follow("actuatd")
 
 
-@pytest.mark.parametrize(
-    "context", [{"length": 50}, pytest.param({"inflow": 2500}, marks=pytest.mark.long)], ids=str
-)
-def test_corners_run_to_the_end_without_collisions(make, context):
-    _, _, info = episode(make(context), FIXED_TIME)
-    assert np.isfinite(info["score"])
-    assert info["score"] < 0
-    assert info["collisions"] == 0
-
-
 def test_yellow_comes_before_another_green_only(make):
     env = make()
     env.reset(seed=0)

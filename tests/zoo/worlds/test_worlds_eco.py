@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.traffic.eco import LIMIT, light
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
@@ -178,13 +177,3 @@ def test_each_reward_is_given_to_agents_only(cmdp):
         np.testing.assert_allclose(reward[5, 0], value, rtol=1e-6)
         assert float(jnp.abs(reward).sum()) == pytest.approx(abs(value))
         assert not done.any()
-
-
-def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp):
-    assert "reward" not in cmdp.trainer_for("paper").recipe
-    assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"
-    with pytest.raises(UnknownName, match="delay, paper, platoon, road"):
-        cmdp.trainer_for("standard", reward="speed").train([CONTEXT], 0)
-    ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", reward="delay")
-    with pytest.raises(UnknownName, match="reward of this world"):
-        ring.train([{"hold": 5.0}], 0)
