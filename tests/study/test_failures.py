@@ -115,6 +115,19 @@ def test_a_wrong_shape_costs_one_training_at_most_and_its_policy_is_kept(tmp_pat
     assert not again.state.deferred
 
 
+def test_a_licence_that_expires_after_the_first_training_ends_the_run_after_three(tmp_path):
+    """It used to give 1 row and 14 failures, and a normal return."""
+    trainer = Bench(train=fails(lambda count: count > 1))
+    study = study_in(tmp_path)
+    with pytest.raises(TrainingFailed, match="3 failures in a row"):
+        study.run(trainer=trainer)
+    assert (len(study.state.rows), len(study.state.failures)) == (1, 3)
+    trainer.breaks["train"] = None
+    study = ran(study_in(tmp_path), trainer=trainer, retry_failed=True).study
+    assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
+    assert len(study.state.picks) == 5  # what failed spent no budget twice
+
+
 def test_failures_with_successes_between_do_not_end_the_run(tmp_path):
     trainer = Bench(train=fails(lambda count: count % 3 == 0))
     study = study_in(tmp_path, budget=8).run(trainer=trainer).study
