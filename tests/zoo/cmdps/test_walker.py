@@ -91,6 +91,14 @@ def test_a_walker_that_falls_loses_a_hundred_and_the_episode():
         env.step(action)
 
 
+def test_unguided_it_stands_still_at_little_cost():
+    env = BipedalWalker()
+    env.reset(seed=0)
+    steps = [env.drive() for _ in range(1000)]
+    assert [step[2] for step in steps] == [False] * 1000
+    assert -20 < sum(step[1] for step in steps) < 0
+
+
 def test_an_action_that_is_no_number_gives_none():
     env = BipedalWalker()
     env.reset(seed=0)
