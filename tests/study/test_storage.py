@@ -24,14 +24,6 @@ class TestLogs(EventLogContract):
         return MemoryLog() if memory else SqlLog(tmp_path / "s.db", "a", create=True)
 
 
-def test_one_database_holds_many_studies(tmp_path):
-    for name in ("first", "second"):
-        log = SqlLog(tmp_path / "s.db", name, create=True)
-        log.append(Event("created", {"name": name}), after=0)
-    assert study_names(tmp_path / "s.db") == ["first", "second"]
-    assert SqlLog(tmp_path / "s.db", "second").read()[0].data == {"name": "second"}
-
-
 def test_what_is_no_database_of_ours_is_named(tmp_path):
     (tmp_path / "prose").write_bytes(b"this is not a database, it is prose" * 100)
     (tmp_path / "garbage").write_bytes(b"SQLite format 3\0garbage" * 99)

@@ -83,21 +83,6 @@ def test_both_checkpoints_come_from_one_training(tmp_path):
     assert not list((tmp_path / "work").glob("*partial*"))  # the rows are there
 
 
-def test_only_missing_pieces_are_done_again(tmp_path):
-    first, again = Several(), Several()
-    options = {"keep": ("best",), "lanes": 2}
-    building(tmp_path, first, **options).run()
-    pieces = sorted((tmp_path / "work").glob("sources-*.npz"))
-    assert len(pieces) == 3
-    pieces[2].unlink()
-    one = building(tmp_path, again, **options)
-    with pytest.raises(StorageError, match="1 are missing"):
-        one.returns("best")
-    one.run()
-    assert again.calls == [1]
-    np.testing.assert_allclose(one.returns("best").mean(axis=2), expected())
-
-
 def save(policy, folder):
     (folder / "policy.json").write_text(json.dumps(policy))
 
