@@ -104,7 +104,8 @@ def _choice(subjects: Sequence[Subject]) -> str:
 def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     """All of one subject, of which only the first is shown at once."""
     told, space = len(subject.history), subject.space
-    units = f" of {subject.units[-1]:g} units" if told and subject.kind == "study" else ""
+    other = told and subject.units[-1] != told
+    units = f" of {subject.units[-1]:g} units" if other else ""
     facts = f"{subject.selector}, {told} trainings{units}, {space.n} contexts"
     if subject.kind == "study":
         facts += ", finished" if subject.finished else ", under way"
