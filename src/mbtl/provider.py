@@ -13,8 +13,7 @@ It is a module with
                          `mbtl.report.Subject`; None: it is not one of these
     curves(study)        what stands beside a study, `mbtl.report.ReferenceCurves`; None: nothing
 
-The tool imports no module of the laboratory, nor of the engine. A CMDP of another package needs no
-provider of its own (`mbtl.problems.loading`).
+The tool imports no module of the laboratory, nor of the engine.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from mbtl.faults import load_object
 from mbtl.problems.adapting import Adapted, adapt, with_adapted
 from mbtl.problems.check import Check, CheckReport, check_cmdp
 from mbtl.problems.cmdp import CMDP, Preset
-from mbtl.problems.loading import cmdp_ids, get_cmdp, plugin_ids, resolve_cmdp
+from mbtl.problems.loading import cmdp_ids, get_cmdp, resolve_cmdp
 
 __all__ = [
     "CMDP",
@@ -17,7 +17,6 @@ __all__ = [
     "cmdp_ids",
     "get_cmdp",
     "load_object",
-    "plugin_ids",
     "resolve_cmdp",
     "with_adapted",
 ]

@@ -8,8 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import MbtlError
+from mbtl.cli.common import JsonFlag, print_json, printer
 
 
 def cmdps(
@@ -28,7 +27,6 @@ def cmdps(
     Example: mbtl cmdps cartpole-length
     """
     from mbtl.problems import cmdp_ids, resolve_cmdp
-    from mbtl.problems.loading import plugin_ids
 
     if name:
         record = _record(resolve_cmdp(name))
@@ -38,18 +36,10 @@ def cmdps(
             _show(record)
         return
     records = [_record(resolve_cmdp(id)) for id in cmdp_ids()]
-    broken = {}
-    for id in plugin_ids():
-        try:
-            records.append(_record(resolve_cmdp(id)))
-        except MbtlError as error:  # another package's fault must not hide what works
-            broken[id] = str(error)
     if json:
         print_json(records)
     else:
         _list(records)
-    for message in broken.values():
-        console.print(f"left out: {message}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _record(cmdp: Any) -> dict[str, Any]:

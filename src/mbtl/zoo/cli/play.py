@@ -20,7 +20,7 @@ from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp
-from mbtl.problems.loading import plugin_ids, resolve_cmdp
+from mbtl.problems.loading import resolve_cmdp
 from mbtl.score import RANDOM_ACTIONS
 from mbtl.seeds import action_seed, episode_seeds, evaluation_seeds
 from mbtl.zoo.cli.film import Watched, save_film
@@ -237,8 +237,6 @@ def _opened(
             return None, resolve_cmdp(target, **switches), {}
         if target in cmdp_ids():
             return None, _in_simulator(target, switches), {}
-        if target in plugin_ids():
-            return None, get_cmdp(target), {}
         raise InvalidInput(
             "play takes the folder of a portfolio, the id of a CMDP, or my_file.py:problem, got "
             f"{target!r}, which is neither; `mbtl cmdps` lists the ids"
@@ -251,8 +249,6 @@ def _opened(
     made, id = _record(portfolio.metadata, "settings"), str(portfolio.cmdp)
     if id in cmdp_ids():
         return portfolio, _in_simulator(id, _record(made, "switches") | switches), made
-    if id in plugin_ids():
-        return portfolio, get_cmdp(id), made
     raise InvalidInput(
         f"a portfolio of your own problem is played in it, got one of {id!r}; add --problem "
         "my_file.py:problem"
