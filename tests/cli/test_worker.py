@@ -12,8 +12,6 @@ import pytest
 from test_interrupt import PROGRAM
 
 import mbtl
-from mbtl.cli import worker
-from mbtl.cli.worker import WallTime
 
 QUICK = """
 import pathlib, time, mbtl
@@ -125,50 +123,6 @@ def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, num
     assert study.ask().number == 0
 
 
-def test_a_worker_whose_time_is_over_ends_by_itself_and_another_takes_its_training(
-    place, mbtl_command
-):
-    study = made(place)
-    (place / "slow").touch()
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # deaf in the background
-    try:
-        code, out, err = mbtl_command(
-            "worker", "s", "quick.py:problem", "--wall-time", "1", "--json"
-        )
-    finally:
-        signal.signal(signal.SIGINT, usual)
-    assert code == 0, err
-    assert json.loads(out)["ended"] == "the wall time is over"
-    assert not json.loads(out)["finished"]
-    assert study.refresh().open_picks[0].lease is None
-    (place / "slow").unlink()
-    assert mbtl_command("worker", "s", "quick.py:problem")[0] == 0
-    assert [row.pick for row in study.refresh().rows] == [0, 1, 2]
-
-
-def test_no_training_is_begun_that_would_not_end_in_time(place, mbtl_command):
-    study = made(place)
-    study.tell(study.ask(), [1.0] * 5, seconds=3600.0)
-    code, out, _ = mbtl_command("worker", "s", "quick.py:problem", "--wall-time", "30m", "--json")
-    assert code == 0
-    assert json.loads(out)["told"] == 0
-    assert "no further training would end" in json.loads(out)["ended"]
-    assert len(study.refresh().picks) == 1
-
-    class Resuming(type(study.trainer)):
-        """Its trainings go on from a checkpoint, wherever they are taken up."""
-
-        takes = frozenset({"resume"})
-
-    usual = study.trainer
-    resuming = Resuming(usual.train_fn, usual.evaluate_fn, usual.save_fn, usual.load_fn)
-    for seconds, trainer, fits in (
-        (4000.0, usual, True), (3000.0, usual, False), (10.0, resuming, True),
-        (-1.0, resuming, False),
-    ):  # fmt: skip
-        assert WallTime(time.monotonic() + seconds).has_room(study, trainer) is fits
-
-
 def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, mbtl_command):
     study = made(place, budget=1)
     study.ask(lease=600.0)
@@ -185,8 +139,6 @@ def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, m
         (("s", "quick.py:problem", "--name", "theirs"), 2, "no study is called 'theirs'"),
         (("s", "quick.py:other"), 2, "the problem it was made for"),
         (("s", "quick.py:nothing"), 2, "no attribute"),
-        (("s", "quick.py:problem", "--wall-time", "soon"), 2, "90m, 2h"),
-        (("s", "quick.py:problem", "--wall-time", "0"), 2, "in the future"),
         (("s", "quick.py:problem", "--lease", "0"), 2, "seconds > 0"),
         (
             ("postgresql+psycopg://me:pw9@127.0.0.1:1/db", "quick.py:problem"),
@@ -203,12 +155,3 @@ def test_what_a_worker_cannot_do_it_says_in_a_sentence(place, mbtl_command, argu
     assert words in err
     assert "pw9" not in err
     assert "Traceback" not in err
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("90", 90), ("90m", 5400), ("1.5h", 5400), ("1:30:00", 5400), ("30:00", 1800),
-     ("1-00:00:00", 86400)],
-)  # fmt: skip
-def test_wall_times_are_written_as_people_and_batch_systems_write_them(text, seconds):
-    assert worker._seconds(text) == seconds

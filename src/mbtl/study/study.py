@@ -399,7 +399,6 @@ def run(
     callbacks: Sequence[Callback] = (),
     report: bool | Literal["all"] = True,
     accept_changes: bool = False,
-    may_begin: Callable[[], bool] | None = None,
     wait: bool = True,
 ) -> RunResult:
     """Run a study to its end; interrupted, it goes on where it was when called again.
@@ -417,7 +416,6 @@ def run(
             no more than the study itself, or on "all". Not of a study with a risk.
         accept_changes: a user's own functions may have changed since the study was begun; the log
             says so then.
-        may_begin: asked before each training; once it says no, the run ends.
         wait: stay while others are at the last trainings, to take over from those that die.
 
     Returns:
@@ -427,7 +425,6 @@ def run(
         TrainingFailed: failures ended the run, or no training succeeded.
     """
     started, study.stopping = time.monotonic(), None
-    may_begin = may_begin or (lambda: True)
 
     def announce(method: str, *facts: Any) -> None:
         for callback in callbacks:
@@ -454,11 +451,11 @@ def run(
                 study, trainer, pooled, failures.most_in_a_row - 1, first_policy, announce, keeper,
                 workers.timeout, failures.retries,
             )  # fmt: skip
-            ask = partial(_next_pick, study, keeper, may_begin)
+            ask = partial(_next_pick, study, keeper)
             do_all = partial(batches.do, workers.parallel, ask)
             try:
                 do_all()
-                while wait and _wait_for_others(study, announce, may_begin):
+                while wait and _wait_for_others(study, announce):
                     do_all()
                 if batches.give_back_held():
                     do_all()
@@ -527,9 +524,9 @@ def _rehearse(
     )
 
 
-def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> Pick | None:
+def _next_pick(study: Study, keeper: Keeper) -> Pick | None:
     """A pick that is held from now on; None when nothing can be asked, or shall be."""
-    if study.stopping is not None or not may_begin():
+    if study.stopping is not None:
         return None
     try:
         pick = study.ask(lease=keeper.seconds)
@@ -539,9 +536,7 @@ def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> P
     return pick
 
 
-def _wait_for_others(
-    study: Study, announce: Callable[..., None], may_begin: Callable[[], bool]
-) -> bool:
+def _wait_for_others(study: Study, announce: Callable[..., None]) -> bool:
     """Wait for a change while others hold what is left; False when there is nothing to wait for.
 
     One of them may die, and its training is then to be done here.
@@ -550,7 +545,7 @@ def _wait_for_others(
     pause = _LOOK
     while seq == study.refresh().seq and study.orphans == left:
         theirs = ask.others(study.state, study.watch(), study.worker, for_ever=False)
-        if not theirs or study.stopping is not None or not may_begin():
+        if not theirs or study.stopping is not None:
             return False
         if not announced:
             announced = True
