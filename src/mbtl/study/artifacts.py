@@ -10,7 +10,6 @@ from __future__ import annotations
 import atexit
 import hashlib
 import json
-import os
 import shutil
 import tempfile
 import uuid
@@ -240,18 +239,6 @@ class RemoteStore:
                 f"({type(error).__name__}: {error}); what was told before is kept: mend access, "
                 "then run again"
             ) from error
-
-
-def spools_of(database: Path | None) -> tuple[FolderStore, ...]:
-    """Where policies wait that could not be saved in their store, best first: whoever runs the
-    study again finds them there.
-
-    Args:
-        database: file of the study; None: it has none.
-    """
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    beside = () if database is None else (database.parent / "waiting",)
-    return tuple(FolderStore(root) for root in (*beside, Path(home, "mbtl", "waiting")))
 
 
 def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:
