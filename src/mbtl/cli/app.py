@@ -142,7 +142,6 @@ def main() -> None:
     except BrokenPipeError:  # the reader of a pipe has had enough
         sys.exit(1)
     except OSError as error:
-        if error.filename is not None:
-            raise
-        console.print(f"error: {cannot_write('standard output', error)}", style="red")
+        named = error.filename or "standard output"
+        console.say(f"error: {cannot_write(named, error)}", "red")
         sys.exit(1)
