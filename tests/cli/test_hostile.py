@@ -41,6 +41,8 @@ exits = of('exits', space, train=leaves, evaluate=evaluate, budget=3, bounds=(0,
 slow = of('slow', space, train=sleeps, evaluate=evaluate, budget=3)
 stuck = of('stuck', space, train=locks, evaluate=evaluate, budget=3)
 def make_env(context): sys.exit(0)
+unmade = mbtl.CMDP.from_env('unmade', mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 3}),
+    make_env=make_env, timesteps=100)
 """
 SHOWN = (r"re\x1b[31md", r"bl\x9b31mue", r"\x1b[31mred \udcff")
 
@@ -130,7 +132,7 @@ def test_code_that_exits_is_a_failed_training_and_a_failed_check(folder, mbtl_co
     assert code == 0, err
     assert rows_of(folder) == 2
     assert "sys.exit(0) was called, where it must return or raise" in err
-    code, out, err = mbtl_command("check", "own.py:make_env", "--axis", "x=0:1")
+    code, out, err = mbtl_command("check", "own.py:unmade")
     assert code == 1
     assert "sys.exit(0) was called" in out
 

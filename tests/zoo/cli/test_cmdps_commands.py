@@ -2,9 +2,6 @@ import json
 
 import pytest
 
-from mbtl.cli.check import parse_axis
-from mbtl.contexts import Categorical, Linear
-from mbtl.errors import InvalidInput
 from mbtl.problems import cmdp_ids, get_cmdp
 
 OWN = """
@@ -72,12 +69,7 @@ def test_check_fails_a_dead_axis_after_showing_the_report(mbtl_command, own):
     assert (code, json.loads(out)["ok"]) == (1, False)
 
 
-def test_check_on_a_user_s_factory_and_problem(mbtl_command, own):
-    assert mbtl_command("check", f"{own}:make_env", "--axis", "length=0.1:2.0:m")[0] == 0
-    two = ("--axis", "length=0.1:2.0", "--axis", "masscart=0.5:2")
-    code, _, err = mbtl_command("check", f"{own}:make_env", *two)
-    said = err.split("error: ")[1]  # after the checks, one by one
-    assert (code, "masscart" in said, "length" in said) == (1, True, False)
+def test_check_on_a_user_s_problem(mbtl_command, own):
     assert mbtl_command("check", f"{own}:cmdp")[0] == 0
 
 
@@ -85,23 +77,10 @@ def test_check_on_a_user_s_factory_and_problem(mbtl_command, own):
     ("arguments", "words"),
     [
         (("cartpole-lenght",), "Did you mean 'cartpole-length'"),
-        (("cartpole-length", "--axis", "x=0:1"), "has its axes already"),
-        (("{own}:make_env",), "add --axis"),
-        (("{own}:number",), "must be a CMDP or a function"),
-        (("{own}:cmdp", "--axis", "x=0:1"), "has its axes already"),
-        (("{own}:make_env", "--axis", "length"), "an axis is written"),
+        (("{own}:number",), "must be a CMDP"),
+        (("{own}:make_env",), "must be a CMDP, got a function; build one"),
     ],
 )
 def test_wrong_usage_is_named(mbtl_command, own, arguments, words):
     code, _, err = mbtl_command("check", *(a.format(own=own) for a in arguments))
     assert (code, words in " ".join(err.split())) == (2, True)
-
-
-def test_axes_are_read_as_written():
-    assert parse_axis("length=0.1:2.0") == Linear("length", 0.1, 2.0)
-    assert parse_axis("length=-1:1e3:m/s") == Linear("length", -1.0, 1000.0, "m/s")
-    assert parse_axis("ground=ice, mud") == Categorical("ground", ("ice", "mud"))
-    assert parse_axis("gear=1,2,3") == Categorical("gear", (1, 2, 3))
-    for text in ("", "=0:1", "x", "x=", "x=1", "x=a:b", "x=2:1"):
-        with pytest.raises(InvalidInput):
-            parse_axis(text)
