@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
@@ -41,44 +41,6 @@ class Artifact:
     sha256: str
 
 
-class ArtifactStore(Protocol):
-    """Keeps policies; it travels to other processes."""
-
-    def write(
-        self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
-    ) -> Artifact | None:
-        """Keep what `fill` writes into an empty folder; it is durable when this returns.
-
-        Returns:
-            None where `fill` gave False: it cannot save.
-        """
-        ...
-
-    def check(self) -> None:
-        """Find out that policies can be kept, before any is made.
-
-        Raises:
-            StorageError: nothing can be written there.
-        """
-        ...
-
-    def receipt(self, place: str) -> Mapping[str, Any] | None:
-        """What was noted of the policy there, with its `sha256`; None: there is none."""
-        ...
-
-    def read(self, place: str, sha256: str | None = None) -> Path:
-        """A folder of this machine with the policy; one that is not there, if there is none.
-
-        Raises:
-            StorageError: it is not what was told, or lies outside of the study's folder.
-        """
-        ...
-
-    def partial(self, place: str) -> Path | None:
-        """The file for an unfinished training, which outlives its process; None: there is none."""
-        ...
-
-
 @dataclass(frozen=True)
 class FolderStore:
     """A folder of this machine, or one that several machines share.
@@ -92,7 +54,13 @@ class FolderStore:
     def write(
         self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
     ) -> Artifact | None:
-        """Beside its place, and then there by one rename."""
+        """Keep what `fill` writes into an empty folder; it is durable when this returns.
+
+        It is written beside its place, and then there by one rename.
+
+        Returns:
+            None where `fill` gave False: it cannot save.
+        """
         final = inside(self.root, place, "a study")
         temporary = final.with_name(f".{final.name}.{uuid.uuid4().hex[:8]}")
         try:
@@ -112,7 +80,11 @@ class FolderStore:
             shutil.rmtree(temporary, ignore_errors=True)
 
     def check(self) -> None:
-        """By a file that comes and goes."""
+        """Find out that policies can be kept, before any is made, by a file that comes and goes.
+
+        Raises:
+            StorageError: nothing can be written there.
+        """
         folder = self.root / "policies"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -126,14 +98,18 @@ class FolderStore:
             ) from error
 
     def receipt(self, place: str) -> Mapping[str, Any] | None:
-        """One small file."""
+        """What was noted of the policy there, with its `sha256`; None: there is none."""
         try:
             return _record((inside(self.root, place, "a study") / RECEIPT).read_bytes())
         except OSError:
             return None
 
     def read(self, place: str, sha256: str | None = None) -> Path:
-        """The folder itself."""
+        """A folder of this machine with the policy; one that is not there, if there is none.
+
+        Raises:
+            StorageError: it is not what was told, or lies outside of the study's folder.
+        """
         folder = inside(self.root, place, "a study")
         if sha256 is not None and folder.is_dir():
             _check(folder, place, sha256)
@@ -146,7 +122,7 @@ class FolderStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def partial(self, place: str) -> Path | None:
-        """Beside the policy's folder."""
+        """The file for an unfinished training, which outlives its process; None: there is none."""
         final = inside(self.root, place, "a study")
         final.parent.mkdir(parents=True, exist_ok=True)
         return final.with_name(f"{final.name}.partial")
@@ -239,6 +215,10 @@ class RemoteStore:
                 f"({type(error).__name__}: {error}); what was told before is kept: mend access, "
                 "then run again"
             ) from error
+
+
+ArtifactStore = FolderStore | RemoteStore
+"""Keeps policies; it travels to other processes."""
 
 
 def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:

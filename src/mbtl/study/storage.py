@@ -18,7 +18,7 @@ import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -47,35 +47,6 @@ class Conflict(StorageError):
     """Another process appended first; read again and decide anew."""
 
 
-class EventLog(Protocol):
-    """Where the events of one study live."""
-
-    def append(self, event: Event, *, after: int) -> int:
-        """Append `event` right after number `after` and return its own number.
-
-        Raises:
-            Conflict: the log has grown past `after`.
-            StorageError: it cannot be written; nothing was changed.
-        """
-        ...
-
-    def read(self, after: int = 0) -> Sequence[Event]:
-        """All events with a number greater than `after`, in order."""
-        ...
-
-    def now(self) -> float:
-        """Seconds since the epoch, by the one clock that also stamps the events."""
-        ...
-
-    def beat(self, token: str, seconds: float) -> None:
-        """The holder of a lease lives, and will be heard of again within so many seconds."""
-        ...
-
-    def beats(self) -> Mapping[str, float]:
-        """Until when each lease was last said to live, by its token."""
-        ...
-
-
 class MemoryLog:
     """A log that lives and dies with the process."""
 
@@ -85,7 +56,12 @@ class MemoryLog:
         self._lock = threading.Lock()
 
     def append(self, event: Event, *, after: int) -> int:
-        """Append after `after`; see `EventLog`."""
+        """Append `event` right after number `after` and return its own number.
+
+        Raises:
+            Conflict: the log has grown past `after`.
+            StorageError: it cannot be written; nothing was changed.
+        """
         with self._lock:
             taken = len(self._events)
             if after != taken:
@@ -95,19 +71,19 @@ class MemoryLog:
         return after + 1
 
     def read(self, after: int = 0) -> Sequence[Event]:
-        """Events after number `after`."""
+        """All events with a number greater than `after`, in order."""
         return self._events[after:]
 
     def now(self) -> float:
-        """This process's clock."""
+        """Seconds since the epoch, by the one clock that also stamps the events."""
         return time.time()
 
     def beat(self, token: str, seconds: float) -> None:
-        """Keep the last one of each lease."""
+        """The holder of a lease lives, and will be heard of again within so many seconds."""
         self._beats[token] = time.time() + seconds
 
     def beats(self) -> Mapping[str, float]:
-        """The last heartbeats."""
+        """Until when each lease was last said to live, by its token."""
         return dict(self._beats)
 
 
@@ -137,7 +113,7 @@ class SqlLog:
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
-        """Append in one transaction; see `EventLog`."""
+        """Append in one transaction; see `MemoryLog`."""
         import sqlalchemy as sa
 
         t = self._table
@@ -203,7 +179,7 @@ class SqlLog:
         return self._do(lambda connection: float(connection.execute(query).scalar_one()))
 
     def beat(self, token: str, seconds: float) -> None:
-        """Write the row of this lease; see `EventLog`."""
+        """Write the row of this lease; see `MemoryLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
@@ -217,7 +193,7 @@ class SqlLog:
         self._do(write, writes=True)
 
     def beats(self) -> Mapping[str, float]:
-        """The rows of this study; see `EventLog`."""
+        """The rows of this study; see `MemoryLog`."""
         import sqlalchemy as sa
 
         t = self._heartbeats
@@ -265,6 +241,10 @@ class SqlLog:
             done = work(connection)
         self.patience.answered()
         return done
+
+
+EventLog = MemoryLog | SqlLog
+"""Where the events of one study live."""
 
 
 def study_names(url: str | Path) -> list[str]:
