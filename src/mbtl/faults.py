@@ -11,7 +11,6 @@ import importlib
 import re
 import sys
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TextIO
@@ -101,25 +100,9 @@ def load_object(reference: str) -> Any:
         try:
             found = getattr(found, name)
         except AttributeError:
-            public = _own_names(found)
+            public = [public for public in dir(found) if not public.startswith("_")]
             raise unknown_name(f"attribute of {source!r}", name, public) from None
     return found
-
-
-def _own_names(found: Any) -> list[str]:
-    """Public names that were defined there, not imported; all public ones where there is none."""
-    public = [name for name in dir(found) if not name.startswith("_")]
-    home = getattr(found, "__name__", None)
-    if not isinstance(found, ModuleType):
-        return public
-    values = {name: getattr(found, name) for name in public}
-    own = [
-        name
-        for name, value in values.items()
-        if not isinstance(value, ModuleType)
-        and (getattr(value, "__module__", None) == home or not isinstance(value, type | Callable))
-    ]
-    return own or public
 
 
 def _load_file(path: Path) -> ModuleType:

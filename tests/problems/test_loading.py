@@ -87,11 +87,3 @@ def test_only_a_cmdp_is_a_cmdp(folder):
     with pytest.raises(UnknownName, match="`mbtl cmdps` lists all"):
         resolve_cmdp("cartpole")
     assert get_cmdp("cartpole-length").id == "cartpole-length"
-
-
-def test_what_a_file_only_imports_is_not_offered(folder):
-    (folder / "mine.py").write_text(
-        "import numpy as np\nfrom pathlib import Path\nclass Mine: pass\nchosen = Mine()\n"
-    )
-    with pytest.raises(UnknownName, match=r"Known: Mine, chosen\.$"):
-        load_object("mine:Other")
