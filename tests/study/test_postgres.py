@@ -86,39 +86,6 @@ def test_leases_end_by_the_clock_of_the_server(postgres, name, monkeypatch):
     assert other.tell(taken, np.ones(100))
 
 
-def test_a_server_whose_clock_shows_no_date_is_refused_before_anything_is_written(postgres, name):
-    """The server's clock is one of ours here, which comes before its own in the search path."""
-    admin = sqlalchemy.create_engine(postgres, isolation_level="AUTOCOMMIT")
-    ours = f"{postgres}?options=-csearch_path%3Dwrong,pg_catalog"
-    settings = {"budget": 3, "name": name, "load_if_exists": True, "storage": ours}
-
-    def says(seconds):
-        with admin.connect() as connection:
-            connection.exec_driver_sql(
-                "create schema if not exists wrong; create or replace function "
-                "wrong.clock_timestamp() returns timestamptz language sql volatile as "
-                f"'select to_timestamp({seconds})'"
-            )
-
-    says(-86400)
-    with pytest.raises(StorageError, match=r"the clock of the server says -86400 s after .*set it"):
-        created(SPACE, **settings)
-    says(1e9)
-    study = created(SPACE, **settings)
-    pick = study.ask(lease=60.0)
-    assert study.state.created_at == 1e9
-    says(-1)
-    with pytest.raises(StorageError, match="the clock of the server"):
-        study.tell(pick, np.zeros(100))
-    says(1e9)
-    assert study.tell(pick, np.zeros(100))
-    assert [e.kind for e in study.log.read()] == ["created", "claimed", "asked", "told"]
-    admin.dispose()
-
-
-@pytest.mark.parametrize(
-    "how", [signal.SIGKILL, pytest.param(signal.SIGQUIT, marks=pytest.mark.long)]
-)
 def test_a_restart_of_the_server_costs_a_study_nothing(server, name, how, caplog):
     study = created(
         SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, strategy="random"
