@@ -1,6 +1,5 @@
 """A study on a PostgreSQL server, which the tests start themselves where it is installed."""
 
-import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
