@@ -1,5 +1,6 @@
 """A study on a PostgreSQL server, which the tests start themselves where it is installed."""
 
+import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -85,6 +86,9 @@ def test_leases_end_by_the_clock_of_the_server(postgres, name, monkeypatch):
     assert other.tell(taken, np.ones(100))
 
 
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGQUIT, marks=pytest.mark.long)]
+)
 def test_a_restart_of_the_server_costs_a_study_nothing(server, name, how, caplog):
     study = created(
         SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, strategy="random"
