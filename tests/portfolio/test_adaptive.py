@@ -92,6 +92,10 @@ def test_a_context_outside_is_refused_or_judged_at_the_nearest_one_inside():
     served = portfolio([[20.0, 30.0], [50.0, 0.0]])
     with pytest.raises(mbtl.errors.ContextMismatch):
         served.explain({"x": 7.0})
-    choice = served.explain(served.space.nearest({"x": 7.0}))
-    assert choice.policy == 0
+    choice = served.explain({"x": 7.0}, outside="nearest")
+    assert (choice.policy, choice.instead) == (0, {"x": 1.0})
     assert choice.predicted_return == served.explain({"x": 1.0}).predicted_return
+    assert choice.explanation.startswith("Outside of the contexts, judged at the nearest one")
+    assert served.explain({"x": 1.0}, outside="nearest").instead is None
+    with pytest.raises(mbtl.errors.UnknownName, match="nearest"):
+        served.policy_for({"x": 1.0}, outside="clip")

@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.episodes import Episodes
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
@@ -137,15 +137,24 @@ class Portfolio:
         played = Episodes(self.episodes, self.bounds) if self.episodes else None
         return Routing(self.space, self.sources, self.performance, played, risk=self.risk)
 
-    def explain(self, context: Mapping[str, Value]) -> Choice:
+    def explain(
+        self, context: Mapping[str, Value], *, outside: Literal["error", "nearest"] = "error"
+    ) -> Choice:
         """The policy for a context, with the reason; rules in `mbtl.portfolio.router`.
 
         Args:
-            context: on the list or between; `space.nearest` moves one beyond the axes inside.
+            context: on the list or between.
+            outside: what to do with numbers beyond the range of their axis: refuse them, or judge
+                by the nearest context inside and say so (`Choice.instead`).
 
         Raises:
             ContextMismatch: the context lies outside the axes.
         """
+        asked = dict(context)
+        if outside not in ("error", "nearest"):
+            raise unknown_name("way to treat a context outside", outside, ("error", "nearest"))
+        if outside == "nearest":
+            context = self.space.nearest(asked)
         seen = forecast(self.space, self.sources, self.routing.beliefs, context)
         ranking = rank(seen.performance, seen.distance, np.asarray(self.sources, dtype=np.intp))
         best, runner_up = int(ranking[0]), int(ranking[1]) if len(ranking) > 1 else None
@@ -166,6 +175,7 @@ class Portfolio:
             runner_up=runner_up,
             margin=behind,
             margin_error=None if runner_up is None else self._error(seen, best, runner_up),
+            instead=None if context == asked else dict(context),
         )
 
     def trained_on(self, policy: int) -> str:
@@ -190,9 +200,11 @@ class Portfolio:
             return None  # between the listed contexts nothing is exact
         return error * (self.bounds.high - self.bounds.low)
 
-    def policy_for(self, context: Mapping[str, Value]) -> Any:
+    def policy_for(
+        self, context: Mapping[str, Value], *, outside: Literal["error", "nearest"] = "error"
+    ) -> Any:
         """The policy that serves a context; `explain` gives the reason."""
-        return self.policy(self.explain(context).policy)
+        return self.policy(self.explain(context, outside=outside).policy)
 
     def policy(self, i: int) -> Any:
         """The policy at position `i`, loaded from its folder on first use.

@@ -157,6 +157,8 @@ class Choice:
         margin: how much better than the runner-up, >= 0, raw units; None without one.
         margin_error: standard error of the margin, raw units, in which luck that policies share
             cancels; None: unknown.
+        instead: where the asked context lies outside: the nearest one inside, on which all of this
+            is.
     """
 
     policy: int
@@ -169,6 +171,7 @@ class Choice:
     runner_up: int | None
     margin: float | None
     margin_error: float | None
+    instead: Context | None = None
 
     @property
     def explanation(self) -> str:
@@ -180,7 +183,11 @@ class Choice:
             "model predicts it",
             "interpolated": f"should return about {said}, judging by the nearest listed contexts",
         }[self.basis]
-        return f"Policy {self.policy + 1}, trained on {self.trained_on}, {how}; {self._rest}."
+        text = f"Policy {self.policy + 1}, trained on {self.trained_on}, {how}; {self._rest}."
+        if self.instead is None:
+            return text
+        where = ", ".join(f"{name} = {value}" for name, value in self.instead.items())
+        return f"Outside of the contexts, judged at the nearest one inside, {where}: {text}"
 
     @property
     def _rest(self) -> str:
