@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import random
+import re
 import sqlite3
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 import quick_problem
 
 import mbtl
-from damage import damaged_bytes, refusals
+from damage import damaged, damaged_bytes, refusals
 from flat import created
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.report import summarise_study
@@ -150,7 +151,7 @@ def test_a_name_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp
     policies = ["/etc", "../secret", "policies/../../secret", "C:\\x", ".ssh", "a/.ssh", "", 3]
     for place, name, wrong, words in (
         (3, "policy", policies, r"event 4 \(told\) .*`policy` cannot be"),
-        (0, "uid", ("../..", "a/b", "", "x" * 65), r"event 1 \(created\) .*`uid` cannot be"),
+        (0, "uid", ("../..", "a/b", "", "x" * 65, None), r"event 1 \(created\) .*`uid` cannot be"),
     ):
         for value in wrong:
             log = events(study)
@@ -192,6 +193,27 @@ def test_a_run_writes_no_policies_through_a_link(tmp_path):
 
 
 # ---- damage -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", ["study", "any_training"])
+def test_any_damage_to_the_facts_gets_a_sentence(which, request):
+    study = request.getfixturevalue(which)
+    whole, refused = events(study), {}
+
+    def attempt(seed):
+        log = copy.deepcopy(whole)
+        entry = log[seed % len(log)]
+        entry["data"] = json.loads(json.dumps(damaged(entry["data"], seed)))
+        try:
+            opened = read(log, folder=study.folder)
+        except StorageError as error:
+            refused[entry["kind"]] = str(error)
+            raise
+        used(opened)
+
+    assert refusals(attempt, 80) > 24
+    assert set(refused) == {e["kind"] for e in whole}
+    assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
 
 def test_no_flipped_bit_loads(study, tmp_path):
@@ -252,19 +274,36 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
     assert refusals(attempt, 24) > 12
 
 
-def test_what_does_not_follow_from_the_log_is_refused(any_training):
+def test_a_training_that_cannot_be_is_refused(any_training):
     whole = events(any_training)
     for kind, which, change, words in (
-        ("asked", 0, {"sources": [7, 9]}, r"event 3 \(asked\) .*out of bounds"),
+        ("asked", 0, {"sources": []}, "`sources` cannot be"),
+        ("asked", 0, {"sources": [2, 2]}, "`sources` cannot be"),
+        ("asked", 0, {"start": 1}, "`start` cannot be"),
+        ("asked", 0, {"length": -1.0}, "`length` cannot be"),
+        ("asked", 0, {"length": 1e300}, "`length` cannot be"),
+        ("asked", 0, {"length": 0.0}, "only evaluates a policy .* has a start= and targets="),
+        ("asked", 0, {"targets": [1, 1]}, "`targets` cannot be"),
+        ("asked", 1, {"length": 1.0}, "goes on beyond the"),
+        ("asked", 3, {"targets": None}, "only evaluates a policy .* has a start= and targets="),
+        ("told", 0, {"sources": [1]}, "the contexts of its pick"),
+        ("told", 0, {"targets": [3, 0]}, "`targets` cannot be"),
         ("told", 0, {"state": "../.ssh"}, "`state` cannot be"),
-        ("told", 0, {"targets": [3]}, "array `returns` must hold numbers of shape"),
-        ("late", 0, {"episodes": None}, "array `returns` must hold numbers of shape"),
-        ("failed", 1, {"pick": 0}, "`pick` cannot be 0 now"),
+        ("told", 0, {"steps": -1.0}, "`steps` cannot be"),
+        ("told", 3, {"evaluation_steps": "few"}, "`evaluation_steps` cannot be"),
+        ("late", 0, {"episodes": None}, "`episodes` cannot be"),
+        ("late", 0, {"targets": 3}, "`targets` cannot be"),
+        ("failed", 0, {"steps": True}, "`steps` cannot be"),
+        ("failed", 0, {"again": 1}, "`again` cannot be"),
+        ("failed", 1, {"pick": 0}, "`pick` cannot be"),
     ):
         log = copy.deepcopy(whole)
         [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)
         with pytest.raises(StorageError, match=words):
             read(log)
+    for facts in ({"budget": 1, "steps": 10}, {"budget": 10**6, "steps": None}):
+        with pytest.raises(StorageError, match="cannot be"):
+            read([*whole, {"kind": "extended", "data": facts, "arrays": {}}])
 
 
 def test_a_long_chain_of_trainings_is_read(any_training):

@@ -291,16 +291,6 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
     if length is not None and not (np.isfinite(length) and length >= 0.0):
         raise InvalidInput(f"a training has a length >= 0 in units, got {length!r} from {name!r}")
     pick = state.planned(_facts(state, proposal))
-    if not pick.length and None in (pick.start, pick.targets):
-        raise InvalidInput(
-            f"what only evaluates a policy (length 0) has a start= and targets=, got {proposal} "
-            f"from {name!r}"
-        )
-    if pick.length and pick.length <= pick.done:
-        raise InvalidInput(
-            f"a training goes on beyond the {pick.done:g} units that it has, got length="
-            f"{pick.length:g} from {name!r}; it is the length in all"
-        )
     asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,
         "start": start is not None and length != 0.0,

@@ -1,27 +1,38 @@
 """What an event must hold, whoever wrote it: checked before it is stored and when it is read.
 
-A log may come from a stranger, whose paths must not lead out of the study's folder. Damage on a
-disk is found by checksums. Other facts are taken as they are: what cannot follow from the events
-before is refused, and no further rule is checked.
+A log may be damaged, or come from a stranger, whose paths must not lead out of the study's folder.
+Facts that are not named here are free: a version may note more.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
 
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import MALFORMED, is_local
-from mbtl.plain import short
-from mbtl.study.events import Event
+from mbtl.plain import LARGEST, short
+from mbtl.study.events import Event, Kind
+from mbtl.study.spec import (
+    Rule,
+    at_least,
+    each,
+    is_count,
+    is_flag,
+    is_number,
+    is_record,
+    is_text,
+    is_whole,
+    or_null,
+)
 from mbtl.study.state import StudyState
 
-_UID = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""Of a study: what its folder is named by."""
-_ANSWERS = ("told", "failed", "deferred")
+_LONGEST = 1e9
+"""Units of a training."""
 
 
 def replay(events: Iterable[Event]) -> StudyState:
@@ -60,18 +71,11 @@ def check_event(event: Event, state: StudyState) -> None:
     """Refuse an event that does not follow from `state`.
 
     Raises:
-        InvalidInput: a place is not the study's, a pick does not wait for an answer, or an array is
-            missing or of another form.
+        InvalidInput: a fact or an array is missing, of the wrong form, or out of place.
     """
-    data = event.data
-    if event.kind == "created" and not _UID.fullmatch(data["uid"]):
-        raise InvalidInput(f"`uid` cannot be {short(data['uid'])}")
-    for name in ("policy", "state"):
-        place = data.get(name)
-        if place is not None and not is_policy_place(place):
-            raise InvalidInput(f"`{name}` cannot be {short(place)}")
-    if event.kind in _ANSWERS and data["pick"] not in (None, *state.open_picks):
-        raise InvalidInput(f"`pick` cannot be {short(data['pick'])} now")
+    for name, holds in _facts(event, state).items():
+        if not holds(event.data.get(name)):
+            raise InvalidInput(f"`{name}` cannot be {short(event.data.get(name))} now")
     shapes = _shapes(event, state)
     if set(event.arrays) != set(shapes):
         raise InvalidInput(
@@ -79,11 +83,34 @@ def check_event(event: Event, state: StudyState) -> None:
         )
     for name, shape in shapes.items():
         array = event.arrays[name]
-        if array.dtype.kind not in "fiu" or array.shape != shape or np.isinf(array).any():
+        proper = array.dtype.kind in "fiu" and array.shape == shape
+        if not proper or (np.abs(array) > np.float64(LARGEST)).any():
             raise InvalidInput(
-                f"array `{name}` must hold numbers of shape {shape}, or NaN, got {array.dtype} of "
-                f"shape {array.shape}"
+                f"array `{name}` must hold numbers of shape {shape}, within {LARGEST:g} or NaN, "
+                f"got {array.dtype} of shape {array.shape}"
             )
+    if event.kind in ("asked", "told"):
+        _check_training(event, state)
+    if event.kind == "told" and np.isnan(event.arrays["returns"]).all():
+        raise InvalidInput("array `returns` must hold one number or more, got none")
+
+
+def _check_training(event: Event, state: StudyState) -> None:
+    """Refuse a training that cannot be, and a row that is not of its pick."""
+    data = event.data
+    if event.kind == "told":
+        pick = None if data["pick"] is None else state.picks[data["pick"]]
+        if pick is not None and tuple(data["sources"]) != pick.sources:
+            raise InvalidInput(f"`sources` must be the contexts of its pick, got {data['sources']}")
+        return
+    asked = state.planned(data)
+    if not asked.length and None in (asked.start, asked.targets):
+        raise InvalidInput("what only evaluates a policy (length 0) has a start= and targets=")
+    if asked.length and asked.length <= asked.done:
+        raise InvalidInput(
+            f"a training goes on beyond the {asked.done:g} units that it has, got length="
+            f"{asked.length:g}; it is the length in all"
+        )
 
 
 def is_policy_place(path: object) -> bool:
@@ -94,16 +121,108 @@ def is_policy_place(path: object) -> bool:
     return is_local(path) and not any(p[0] == "." for p in PurePosixPath(str(path)).parts)
 
 
+# ---- rules -------------------------------------------------------------------------------------
+
+
+def _named(letters: str) -> Rule:
+    """Of what a folder is named by."""
+    return lambda value: is_text(value) and bool(re.fullmatch(f"[{letters}]{{1,64}}", value))
+
+
+_is_token, _is_uid = _named("A-Za-z0-9"), _named("A-Za-z0-9_-")
+_amount, _units = or_null(at_least(0.0)), or_null(lambda v: is_number(v) and 0.0 <= v <= _LONGEST)
+_HOLDER: dict[str, Rule] = {"worker": is_text, "token": _is_token, "seconds": _amount}
+
+
+def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
+    """The facts that an event of this kind must hold now."""
+    if not state.seq:
+        return {"version": is_text, "uid": _is_uid, "spec": is_record}
+    n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
+    least, now = state.spec.budget, state.spec.steps
+
+    def number(holds: Callable[[int], bool]) -> Rule:
+        return lambda i: is_whole(i) and holds(i)
+
+    index, told = number(lambda i: i < n), number(lambda i: state.place_of(i) >= 0)
+    one_open = number(lambda i: i in state.open_picks)
+    next_or_open = number(lambda i: i in state.open_picks or i == asked)
+
+    def sources(some: Any) -> bool:
+        return each(index)(some) and 0 < len(some) == len(set(some))
+
+    def rising(some: Any) -> bool:
+        return sources(some) and list(some) == sorted(some)
+
+    failure: dict[str, Rule] = {
+        "token": or_null(_is_token),
+        "pick": one_open,
+        "reason": is_text,
+        "traceback": or_null(is_text),
+        **dict.fromkeys(("pruned", "again"), or_null(is_flag)),
+        "steps": _amount,
+    }
+    returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": is_count}
+    table: dict[Kind, dict[str, Rule]] = {
+        "extended": {
+            "budget": number(lambda k: k >= least),
+            "steps": lambda s: s is None if now is None else is_whole(s) and s > now,
+        },
+        "asked": {
+            "pick": number(lambda i: i == asked),
+            "sources": sources,
+            "start": or_null(told),
+            "length": _units,
+            "reason": is_text,
+            "acquisition": or_null(is_number),
+            "notes": each(is_text),
+            "targets": or_null(sources),
+            **_HOLDER,
+        },
+        "claimed": {"pick": next_or_open, **_HOLDER},
+        "released": {"pick": next_or_open},
+        "voided": {"told": told, "reason": is_text},
+        "late": {
+            "pick": number(lambda i: i < asked),
+            "outcome": lambda outcome: outcome in ("told", "failed", "deferred"),
+            "token": is_text,
+            **(returns if event.data.get("outcome") == "told" else {}),
+        },
+        "told": {
+            "pick": or_null(one_open),
+            "sources": sources,
+            **returns,
+            "cost": at_least(0.0),
+            **dict.fromkeys(("seconds", "steps", "evaluation_steps"), _amount),
+            **dict.fromkeys(("policy", "state"), or_null(is_policy_place)),
+            **dict.fromkeys(("sha256", "recipe", "state_sha256"), or_null(is_text)),
+            "token": or_null(_is_token),
+        },
+        "failed": failure,
+        "deferred": failure,
+        "reopened": {"pick": number(lambda i: any(one.pick == i for one in state.failures))},
+        "stopped": {"reason": is_text},
+        "reported": {
+            "episodes": is_count,
+            "best_single": number(lambda i: i < rows),
+            "baselines": or_null(each(is_text)),
+            "metrics": or_null(is_record),
+        },
+    }
+    return table.get(event.kind, {})
+
+
 def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
     """The arrays that an event must hold now."""
-    kind, data = event.kind, event.data
-    if kind == "told" or (kind == "late" and data["outcome"] == "told"):
-        targets = data.get("targets")
-        count = state.spec.space.n if targets is None else len(targets)
-        return {"returns": (count, data["episodes"])}
+    kind = event.kind
+    if not state.seq:
+        return {}
+    n = state.spec.space.n
+    if kind == "told" or (kind == "late" and event.data.get("outcome") == "told"):
+        targets = event.data.get("targets")
+        return {"returns": (n if targets is None else len(targets), event.data["episodes"])}
     if kind == "reported":
-        n = state.spec.space.n
-        played = n, data["episodes"]
+        data, played = event.data, (n, event.data["episodes"])
         shapes: dict[str, tuple[int, ...]] = {"served": played, "alone": played}
         others, measures = len(data.get("baselines") or ()), len(data.get("metrics") or ())
         if others:

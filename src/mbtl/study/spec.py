@@ -1,8 +1,8 @@
-"""The settings of a study, as they are stored with it."""
+"""The settings of a study, as they are stored with it, and the rules that they keep."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
+from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
 
 
@@ -121,6 +122,9 @@ def check_spec(spec: StudySpec) -> None:
     Raises:
         InvalidInput: the first that breaks its rule.
     """
+    for name, holds in _SPEC.items():
+        if not holds(getattr(spec, name)):
+            raise InvalidInput(f"`{name}` of a study cannot be {short(getattr(spec, name))}")
     Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
     spec.selection_problem()
     if spec.steps is not None and None in (spec.unit, spec.target_steps):
@@ -129,3 +133,79 @@ def check_spec(spec: StudySpec) -> None:
         raise InvalidInput(
             f"policies are evaluated on 1 to {spec.space.n} targets, got {spec.eval_targets}"
         )
+
+
+# ---- rules -------------------------------------------------------------------------------------
+
+_HUGE = 1e300
+"""Of facts: differences of numbers below this are numbers, too."""
+
+Rule = Callable[[Any], bool]
+"""What a fact must satisfy."""
+
+
+def is_whole(value: Any) -> bool:
+    """A whole number >= 0 that a database can hold."""
+    return is_seed(value) and bool(value < 2**63)
+
+
+def is_seed(value: Any) -> bool:
+    """Of any size: it is hashed."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return whole and bool(value >= 0)
+
+
+def is_number(value: Any) -> bool:
+    """A number, finite and not too large to be computed with."""
+    plain = value.item() if isinstance(value, np.number) else value
+    real = isinstance(plain, (int, float)) and not isinstance(plain, bool)
+    return real and -_HUGE < plain < _HUGE
+
+
+def is_text(value: Any) -> bool:
+    """Letters."""
+    return isinstance(value, str)
+
+
+def at_least(least: float, is_one: Rule = is_number) -> Rule:
+    """Rule of numbers from `least` on."""
+    return lambda value: is_one(value) and value >= least
+
+
+def or_null(rule: Rule) -> Rule:
+    """Rule that None keeps, too."""
+    return lambda value: value is None or rule(value)
+
+
+def each(rule: Rule) -> Rule:
+    """Rule of lists whose items keep one."""
+    return lambda value: isinstance(value, (list, tuple)) and all(map(rule, value))
+
+
+def is_flag(value: Any) -> bool:
+    """True or false."""
+    return isinstance(value, bool)
+
+
+def is_record(value: Any) -> bool:
+    """Names with values."""
+    return isinstance(value, Mapping)
+
+
+is_count = at_least(1, is_whole)
+
+_SPEC: dict[str, Rule] = {
+    "budget": is_whole,
+    "selector": lambda one: is_record(one) and is_text(one.get("name")),
+    "bounds": or_null(lambda pair: len(pair) == 2 and all(map(is_number, pair))),
+    "costs": or_null(each(is_number)),
+    "problem": is_text,
+    "settings": is_record,
+    "any_training": is_flag,
+    **dict.fromkeys(("seed", "trial"), is_seed),
+    **dict.fromkeys(("risk", "stop_confidence"), is_number),
+    **dict.fromkeys(("theta", "stop_value", "stop_left"), or_null(is_number)),
+    **dict.fromkeys(("cost_budget", "best_return", "floor"), or_null(is_number)),
+    "eval_targets": or_null(is_whole),
+    **dict.fromkeys(("steps", "unit", "target_steps"), or_null(is_count)),
+}
