@@ -17,15 +17,16 @@ import functools
 import hashlib
 import inspect
 import json
+import linecache
 import math
 import os
 import sys
 import sysconfig
-import textwrap
 import types
 from collections.abc import Callable, Iterator, Mapping, Set
 from pathlib import Path, PurePath
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _DEEP, _LARGE = 20, 64
 _INSTALLED = ("site-packages", "dist-packages")
 Inside = tuple[int, ...]
 """Addresses of what is being described, from the outermost on: nothing is part of itself."""
+Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 
 def described(value: Any) -> Any:
@@ -56,8 +58,9 @@ def described_code(value: Any) -> dict[str, Any] | None:
 
     Returns:
         "code" -> digest, and by name what it uses: functions and classes of the same module as
-        digests, numbers, texts and tuples of those as they are. Neither other objects nor absolute
-        paths are compared, as they differ in every run. None: it is a package's.
+        digests, numbers, texts and plain collections of those as they are when this is called
+        first. Neither objects nor absolute paths are compared, as they differ in every run. None:
+        it is a package's.
     """
     return _code(value, ()) or None
 
@@ -142,7 +145,7 @@ def _parts(value: Any, inner: Callable[[Any], Any]) -> dict[str, Any]:
         names = [field.name for field in dataclasses.fields(value) if field.compare]
         return {name: inner(getattr(value, name, None)) for name in names}
     own = callable(value) and _is_own(type(value))
-    code = {"code": digest(type(value))} if own else {}
+    code = {"code": _class(type(value), {})} if own else {}
     return {**code, **{name: inner(one) for name, one in getattr(value, "__dict__", {}).items()}}
 
 
@@ -164,45 +167,54 @@ def _short(content: bytes) -> str:
 
 # ---- code --------------------------------------------------------------------------------------
 
+_FIRST: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
+"""What functions used when they were looked at first: later they may have counted something."""
+
 
 def _code(value: Any, inside: Inside) -> dict[str, Any]:
     """`described_code`; empty for what is of a package, or part of itself."""
-    value = _bare(value)
+    while callable(bare := getattr(value, "__wrapped__", getattr(value, "__func__", None))):
+        value = bare
     if id(value) in inside or len(inside) > _DEEP:
         return {}
-    inside = (*inside, id(value))
-    if isinstance(value, (types.FunctionType, type)):
-        if not _is_own(value):
-            return {}
-        used: dict[str, Any] = {}
-        _follow(value, used)
-        return {"code": digest(value), **_held(_captured(value), inside), **used}
+    try:
+        if value not in _FIRST:
+            _FIRST[value] = _code_now(value, (*inside, id(value)))
+        return _FIRST[value]
+    except TypeError:  # it cannot be remembered
+        return _code_now(value, (*inside, id(value)))
+
+
+def _code_now(value: Any, inside: Inside) -> dict[str, Any]:
+    """`_code`, as the value is at this moment."""
+    used: dict[str, Any] = {}
+    if isinstance(value, type):
+        return {"code": _class(value, used)} | used if _is_own(value) else {}
+    if isinstance(value, types.FunctionType):
+        return _function(value, inside, used) | used if _is_own(value) else {}
     if isinstance(value, functools.partial):
         name = getattr(value.func, "__qualname__", type(value.func).__qualname__)
         found = _code(value.func, inside) or {"function": name}
-        return {**found, **_held({"args": value.args, **value.keywords}, inside)}
-    # an object that can be called, such as a wrapper of ours around a user's function
-    found, held = _code(type(value), inside), getattr(value, "__dict__", {})
-    frozen = dataclasses.is_dataclass(value) and bool(found)  # others may count while they run
-    return {**found, **_held(held, inside, plain=frozen)}
+        held = {"args": list(value.args), **value.keywords}
+    else:  # an object that can be called, such as a wrapper of ours around a user's function
+        found, held = _code(type(value), inside), getattr(value, "__dict__", {})
+    return {**found, **_held(held, inside, plain=bool(found))}
 
 
-def _bare(value: Any) -> Any:
-    """What is within decorators and methods."""
-    while callable(inner := getattr(value, "__wrapped__", getattr(value, "__func__", None))):
-        value = inner
-    return value
+def _function(function: types.FunctionType, inside: Inside, used: dict[str, Any]) -> dict[str, Any]:
+    """Code, defaults and captured values of an own function.
 
-
-def _captured(value: Callable[..., Any]) -> dict[str, Any]:
-    """What a function captured, as far as it is set."""
-    if not isinstance(value, types.FunctionType):
-        return {}
-    found = {}
-    for name, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
-        with contextlib.suppress(ValueError):
-            found[name] = cell.cell_contents
-    return found
+    What it uses of its module is added to `used`, by name. What was captured and may be filled
+    while the function runs is left out: the next function captures it filled.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    held = {one.name: one.default for one in parameters if one.default is not one.empty}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        with contextlib.suppress(ValueError):  # not set so far
+            if not isinstance(cell.cell_contents, (list, dict, set, np.ndarray)):
+                held[name] = cell.cell_contents
+    _follow(function, used)
+    return {"code": digest(function.__code__), **_held(held, inside)}
 
 
 def _held(held: Mapping[str, Any], inside: Inside, *, plain: bool = True) -> dict[str, Any]:
@@ -214,53 +226,86 @@ def _held(held: Mapping[str, Any], inside: Inside, *, plain: bool = True) -> dic
         elif isinstance(one, type) and plain:
             found[name] = one.__qualname__
         elif plain and _is_plain(one):
-            found[name] = described(one)
+            found[name] = _plain(one)
     return found
 
 
-def _follow(value: Any, used: dict[str, Any]) -> None:
-    """Add what code names of its module to `used`: own functions, classes, and plain values."""
-    module = getattr(value, "__globals__", None) or vars(sys.modules.get(value.__module__, value))
-    inner = [*ast.walk(_parsed(value))]
+def _follow(function: types.FunctionType, used: dict[str, Any]) -> None:
+    """Add what code uses of its module to `used`: functions, classes, and plain values."""
+    module, node = function.__globals__, _node(function.__code__)
+    inner = [] if node is None else [*ast.walk(node)]
+    names = {one.id for one in inner if isinstance(one, ast.Name)}
     written = {name for one in inner if isinstance(one, ast.Global) for name in one.names}
-    for name in sorted({one.id for one in inner if isinstance(one, ast.Name)} - written):
-        one = _bare(module.get(name))
-        if name in used or one is None:
-            continue
-        if isinstance(one, (types.FunctionType, type)):
-            if one.__module__ == value.__module__ and one is not value and _is_own(one):
-                used[name] = digest(one)
-                _follow(one, used)
-        elif _is_plain(one):
-            used[name] = described(one)
+    for name in sorted((names & module.keys()) - written - used.keys()):
+        value = getattr(module[name], "__wrapped__", module[name])
+        if isinstance(value, (types.FunctionType, type)):
+            if value.__module__ == function.__module__ and _is_own(value):
+                used[name] = ""  # it may use itself
+                if isinstance(value, type):
+                    used[name] = _class(value, used)
+                else:
+                    parts = _function(value, (id(value),), used)
+                    used[name] = parts["code"] if len(parts) == 1 else parts
+        elif _is_plain(value):
+            used[name] = _plain(value)
 
 
-def digest(value: Any) -> str:
-    """What the source of a function or class says, in a few letters, however it is laid out.
+def _class(value: type, used: dict[str, Any]) -> str:
+    """Digest of the methods and plain attributes of an own class; of others the name."""
+    if not _is_own(value):
+        return value.__qualname__
+    parts: dict[str, Any] = {}
+    for name, one in vars(value).items():
+        one = getattr(one, "__func__", getattr(one, "fget", getattr(one, "__wrapped__", one)))
+        if isinstance(one, types.FunctionType):
+            parts[name] = digest(one.__code__)
+            _follow(one, used)
+        elif not name.startswith("__") and _is_plain(one):
+            parts[name] = _plain(one)
+    for base in value.__bases__:
+        if base.__qualname__ not in used:
+            parts[f"base {base.__qualname__}"] = _class(base, used)
+    return CODE + _short(_text(parts).encode())
 
-    Code whose source is nowhere has no more than its name; a lambda has all of its line.
-    """
-    said = ast.unparse(_parsed(value)) or _source(value) or value.__qualname__
+
+def digest(code: types.CodeType) -> str:
+    """What code does, in a few letters: the same wherever it stands, and however it is laid out."""
+    node, said = _node(code), code.co_qualname
+    if node is not None:
+        body = node.body if isinstance(node.body, list) else [node.body]
+        said = "\n".join([str(inspect.getargs(code)), *map(ast.unparse, body)])
     return CODE + _short(said.encode("utf-8", "surrogatepass"))
 
 
-def _source(value: Any) -> str:
-    try:
-        return textwrap.dedent(inspect.getsource(value)).strip()
-    except (OSError, TypeError):
-        return ""
+def _node(code: types.CodeType) -> Function | None:
+    """The source of a function; None: it is nowhere."""
+    linecache.checkcache(code.co_filename)
+    functions = _functions("".join(linecache.getlines(code.co_filename)))
+    found = functions.get((code.co_firstlineno, code.co_name), [])
+    if len(found) > 1:  # lambdas in one line
+        steps = [at for line, _, at, _ in code.co_positions() if line == code.co_firstlineno]
+        last = max(at or 0 for at in steps)
+        found = [node for node in found if node.col_offset <= last]
+    return found[-1] if found else None
 
 
-def _parsed(value: Any) -> ast.Module:
-    """The source without docstrings and `pass`; empty where it is nowhere, or no statement."""
+@functools.lru_cache(maxsize=8)
+def _functions(source: str) -> dict[tuple[int, str], list[Function]]:
+    """Those of a file by first line and name, from left to right, without docstrings."""
+    found: dict[tuple[int, str], list[Function]] = {}
     try:
-        tree = ast.parse(_source(value))
-    except SyntaxError:  # a lambda within a call
-        return ast.Module([], [])
-    for node in ast.walk(tree):
+        nodes = [*ast.walk(ast.parse(source))]
+    except SyntaxError:  # of a notebook's own commands
+        return found
+    for node in nodes:
         if isinstance(body := getattr(node, "body", None), list):
             node.body = [one for one in body if not _does_nothing(one)]  # type: ignore[attr-defined]
-    return tree
+        if isinstance(node, Function):
+            first = min([node, *getattr(node, "decorator_list", ())], key=lambda one: one.lineno)
+            key = first.lineno, getattr(node, "name", "<lambda>")
+            found.setdefault(key, []).append(node)
+            found[key].sort(key=lambda one: one.col_offset)
+    return found
 
 
 def _does_nothing(statement: ast.stmt) -> bool:
@@ -270,18 +315,26 @@ def _does_nothing(statement: ast.stmt) -> bool:
 
 
 def _is_plain(value: Any) -> bool:
-    """Numbers, texts but for absolute paths, and tuples of those: they mean the same in every run.
-
-    What can be filled while code runs is left out.
-    """
-    if isinstance(value, tuple):
+    """Numbers, texts, and collections of those: they mean the same in every run."""
+    if isinstance(value, Mapping):
+        return all(map(_is_plain, (*value, *value.values())))
+    if isinstance(value, (tuple, list, Set)):
         return all(map(_is_plain, value))
-    if isinstance(value, str):
-        return not os.path.isabs(value)
-    return value is None or isinstance(value, (int, float, np.number, np.bool_))
+    if isinstance(value, np.ndarray):
+        return not value.dtype.hasobject
+    return value is None or isinstance(value, (int, float, str, np.number, np.bool_))
 
 
-def _is_own(value: Any) -> bool:
+def _plain(value: Any) -> Any:
+    """Described, without absolute paths."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(one) for one in value]
+    return "a path" if isinstance(value, str) and os.path.isabs(value) else described(value)
+
+
+def _is_own(value: types.FunctionType | type) -> bool:
     """Whether a function or class is a user's; one that was typed in has no file."""
     if isinstance(value, types.FunctionType):
         return _is_own_file(value.__code__.co_filename)
