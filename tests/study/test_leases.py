@@ -267,6 +267,7 @@ def test_a_training_that_is_taken_away_stops_at_its_next_report(place, monkeypat
     assert len(study.state.rows) == 4
     assert len(trained) == 5
     assert len(study.log.beats()) == 4  # of all but the one that was lost
+    assert not list(place.glob(".study.db.*.lock"))
 
 
 def test_a_run_does_what_another_leaves_undone(place, clock, monkeypatch):
@@ -287,6 +288,30 @@ def test_a_run_does_what_another_leaves_undone(place, clock, monkeypatch):
     assert study.state.rows[-1].pick == pick.number
     with pytest.raises(StudyFinished):
         study.ask()
+
+
+def test_an_empty_place_among_locks_says_nothing_and_a_strange_name_opens_no_file(place):
+    presence = mbtl.load_study(place).presence
+    assert not presence.is_gone("never-seen")
+    assert not presence.is_gone("../../etc/passwd")
+    presence.enter("a-worker")
+    other = mbtl.load_study(place).presence
+    assert not other.is_gone("a-worker")
+    presence.leave("a-worker", [])
+    assert not other.is_gone("a-worker")
+
+
+def test_an_end_that_leaves_work_behind_is_known_until_the_last_of_it_is_taken_over(place):
+    """So it is on a full disk, where nothing can be given back any more."""
+    full = mbtl.load_study(place)
+    with Keeper(full, 60.0):
+        held = [full.ask(lease=60.0), full.ask(lease=60.0)]
+    first, second = mbtl.load_study(place), mbtl.load_study(place)
+    assert first.orphans == second.orphans == [0, 1]  # whoever looks first hides it from nobody
+    assert first.ask() == held[0]
+    assert list(place.glob(".study.db.*.lock"))
+    assert second.ask() == held[1]
+    assert not list(place.glob(".study.db.*.lock"))
 
 
 # ---- many threads, and other processes ----------------------------------------------------------

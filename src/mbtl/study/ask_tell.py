@@ -33,9 +33,10 @@ from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Steps
 from mbtl.study.checks import advance, check_event, is_policy_place
 from mbtl.study.closing_report import value_of
+from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
-from mbtl.study.leases import Watch, new_worker
+from mbtl.study.leases import Lease, Presence, Watch, new_worker
 from mbtl.study.problem import Beside
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.serialisation import changed_code, code_mismatch
@@ -116,6 +117,8 @@ class AskTell:
         self.stopping: str | None = None
         self._made: str | None = None  # digest of what this object's policies are made with
         self.worker = new_worker()
+        self.database = database_file(getattr(log, "url", ""))
+        self.presence = Presence(self.database)
         self.log = log
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
@@ -242,9 +245,15 @@ class AskTell:
         """Numbers of open picks that nobody works on: given back, or their lease is stale."""
         return ask.left_alone(self._state, self.watch())
 
+    @property
+    def leases(self) -> list[Lease]:
+        """Those in force, as of the last `refresh`: of open picks, and of the one to come."""
+        held = [pick.lease for pick in self._state.open_picks.values()]
+        return [lease for lease in (*held, self._state.proposing) if lease is not None]
+
     def watch(self) -> Watch:
         """Which leases are stale now."""
-        return Watch(self.log)
+        return Watch(self.log, self.presence.is_gone)
 
     @_alone
     def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
@@ -806,9 +815,20 @@ class AskTell:
             if event is None:
                 return event
             check_event(event, self._state)
+            before = self._holder(event)
             self.log.append(event, after=self._state.seq)
             self.refresh()
+            if before is not None:
+                self.presence.succeed(before, self.leases)
             return event
+
+    def _holder(self, event: Event) -> str | None:
+        """Name of the worker whose pick an event gives to somebody else; None: nobody's."""
+        if event.kind not in ("claimed", "released"):
+            return None
+        held = self._state.open_picks.get(event.data["pick"])
+        lease = self._state.proposing if held is None else held.lease
+        return None if lease is None else lease.worker
 
     def _answer(
         self, kind: Kind, pick: Pick, reason: str, traceback: str, **facts: float | None

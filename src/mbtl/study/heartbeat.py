@@ -38,6 +38,7 @@ class Keeper:
 
     def __enter__(self) -> Keeper:
         self._seq = self._study.refresh().seq
+        self._study.presence.enter(self._study.worker)
         if self._study.is_durable:  # in memory there is nobody to take anything over
             self._thread.start()
         return self
@@ -46,6 +47,7 @@ class Keeper:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
+        self._study.presence.leave(self._study.worker, self._study.leases)
 
     def hold(self, pick: Pick) -> None:
         """From now on this pick is worked on."""

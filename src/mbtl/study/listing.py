@@ -15,11 +15,12 @@ from mbtl.study.database import (
     WRITES,
     as_url,
     database_errors,
+    database_file,
     fixed_url,
     open_database,
     shown,
 )
-from mbtl.study.leases import Watch
+from mbtl.study.leases import Presence, Watch
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -101,7 +102,7 @@ def delete_study(
     name = chosen_name(address, name)
     log = SqlLog(address, name)
     state = replay(log.read())
-    watch = Watch(log)
+    watch = Watch(log, Presence(database_file(address)).is_gone)
     # leases without end are those of ask and tell, whose programs may be long gone
     if held := others(state, watch, "", for_ever=False):
         raise StudyError(

@@ -106,7 +106,8 @@ class Workers:
             proposed at once, without the rows of those under way.
         executor: does them when `parallel` > 1 or there is a `timeout`; None: processes of this
             machine.
-        lease: seconds without a sign of life after which other runs take the trainings over.
+        lease: seconds without a sign of life after which other runs take the trainings over. On one
+            machine they do so at once when the process has ended.
         timeout: seconds that a training and its evaluation may take; longer ones have failed. They
             are done in processes of their own, which are killed then, also with `parallel=1`; those
             of an `executor` are given up.
@@ -137,9 +138,11 @@ class Study(AskTell):
         name: within its storage.
         log: where its events are.
         artifacts: keeps the policies; None: they cannot be kept.
+        database: its file; None: it is on a server, or in memory.
         trainer: trains and reads policies where no other is given.
         beside: what people see beside V, measured by the closing report.
         worker: name by which this object holds picks.
+        presence: who surely is gone, where that can be known.
         policies: number of the row -> policy, for policies of this process that were not saved.
         untold: number of the pick -> what is trained, not saved, and not evaluated so far.
         stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
