@@ -19,7 +19,7 @@ from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.problems import CMDP
 
 SOURCES = 16
-"""Contexts of a problem of one axis; of two, 4 x 4."""
+"""Contexts of a problem of one axis; of two or three, 4 on each."""
 
 Algorithm = Literal["ppo", "a2c"]
 Length = Literal["long", "short"]
@@ -47,6 +47,7 @@ class Kind:
         nominal: features by name.
         axes: name -> lowest and highest value.
         pairs: of axes, for problems of two.
+        triple: of three.
         bounds: returns at which performance is 0 and 1.
         scale: usual sizes of what is seen.
         steps: of a long and of a short training.
@@ -57,6 +58,7 @@ class Kind:
     nominal: Mapping[str, float]
     axes: Mapping[str, tuple[float, float]]
     pairs: tuple[tuple[str, str], ...]
+    triple: tuple[str, str, str]
     bounds: tuple[float, float]
     scale: tuple[float, ...]
     steps: Mapping[Length, int]
@@ -76,6 +78,7 @@ KINDS: Mapping[str, Kind] = {
          "length": (0.05, 3.2), "force": (1.0, 31.0), "timestep": (0.005, 0.065),
          **_SENSORS, **_TURN},
         (("length", "force"), ("timestep", "gravity"), ("masscart", "turn")),
+        ("masscart", "length", "force"),
         (0.0, 200.0), (0.5, 0.5, 0.1, 0.5), {"long": 120_000, "short": 30_000},
         {"gamma": 0.98, "learning_rate": 1e-3},
     ),
@@ -85,6 +88,7 @@ KINDS: Mapping[str, Kind] = {
         {"max_speed": (1.0, 16.0), "timestep": (0.01, 0.16), "gravity": (1.0, 31.0),
          "mass": (0.2, 2.6), "length": (0.2, 2.0), **_SENSORS, **_TURN},
         (("length", "gravity"), ("mass", "timestep"), ("gravity", "turn")),
+        ("mass", "length", "gravity"),
         (-1000.0, -100.0), (0.5, 0.5, 2.0), {"long": 200_000, "short": 50_000},
         {"gamma": 0.93, "learning_rate": 1e-3, "max_grad_norm": 5.0},
     ),
@@ -95,6 +99,7 @@ KINDS: Mapping[str, Kind] = {
         {"gravity": (2.0, 17.0), "length": (0.5, 1.4), "mass": (0.4, 1.9), "moment": (0.2, 2.3),
          "torque": (0.6, 3.6), "timestep": (0.05, 0.35), **_SENSORS, **_TURN},
         (("mass", "torque"), ("gravity", "timestep"), ("length", "turn")),
+        ("mass", "torque", "gravity"),
         (-200.0, -50.0), (0.5, 0.5, 0.5, 0.5, 1.0, 2.0), {"long": 100_000, "short": 40_000},
         {"gamma": 0.98, "learning_rate": 1e-3},
     ),
@@ -104,6 +109,7 @@ KINDS: Mapping[str, Kind] = {
         {"power": (0.0002, 0.0032), "gravity": (0.001, 0.007), "max_speed": (0.03, 0.105),
          "goal": (0.0, 0.45), **_SENSORS, **_TURN},
         (("power", "gravity"), ("gravity", "goal"), ("power", "turn")),
+        ("power", "gravity", "goal"),
         (-20.0, 130.0), (0.3, 2.0), {"long": 30_000, "short": 8_000},
         {"gamma": 0.99, "learning_rate": 1e-3, "log_std": 0.0},
     ),
@@ -182,7 +188,8 @@ def groups() -> Iterator[tuple[int, list[CMDP]]]:
         one: list[tuple[str, ...]] = [(axis,) for axis in KINDS[name].axes]
         two: list[tuple[str, ...]] = list(KINDS[name].pairs) if length == "long" else []
         # what a policy sees decides about its network, so about what can be trained together
-        for some in (one, two) if visible else (one + two,):
+        three = [KINDS[name].triple]
+        for some in (one, two, three) if visible else (one + two, three):
             group = [problem(name, axes, visible, length, by) for axes in some]
             if group:
                 yield zlib.crc32(group[0].id.encode()) % 1000, group
