@@ -70,6 +70,8 @@ class Specialists:
         most_targets: contexts considered as targets at once; fewer from the seventh row on.
         finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
+        lines: try straight lines as a model.
+        ceilings: nobody does better than has been seen, see `RowGain`.
     """
 
     prior: TransferPrior | None = None
@@ -77,6 +79,8 @@ class Specialists:
     most_targets: int = 50
     finalists: int = 10
     final_targets: int = 150
+    lines: bool = True
+    ceilings: bool = True
     name: str = "specialists"
     traits: ClassVar[Traits] = Traits(deterministic=True)
 
@@ -158,10 +162,10 @@ class Specialists:
             noise_too = np.append(noise, np.zeros(len(extra)))
             model = TransferGP(places, believed, np.vstack([pairs, extra]), expected, noise_too)
         trend = fit_linear_trend(problem.steps, pairs, y, known)
-        likelier = trend.log_likelihood > told.log_likelihood
+        likelier = self.lines and trend.log_likelihood > told.log_likelihood
         return Conditioned(
-            problem, history, targets, float(y.max()), floor, told, model, bool(noise.any()),
-            trend if likelier else None,
+            problem, history, targets, float(y.max()) if self.ceilings else np.inf, floor, told,
+            model, bool(noise.any()), trend if likelier else None,
         )  # fmt: skip
 
     def _judged(self, problem: SelectionProblem, beliefs: Conditioned) -> RowGain:
@@ -287,7 +291,7 @@ class Conditioned:
 
     Attributes:
         targets: among whose pairs the model looked.
-        seen: best performance there.
+        seen: best performance there; inf: it is no limit.
         floor: performance below which all counts as equally bad.
         told: the model of the rows told alone.
         model: that beside which picks under way gave what is expected of them.
