@@ -196,9 +196,16 @@ def basics(python: str, place: Path) -> None:
         raise Refused(f"the wheel should be imported, but {where} was")
     mbtl = str(Path(python).with_name("mbtl"))
     output(mbtl, "--help", cwd=empty)
-    words = ("bench", "--matrix", "cartpole-length", "--selectors", "random,mbtl,auto", "--json")
+    words = (
+        "bench",
+        "--matrix",
+        "cartpole-length",
+        "--selectors",
+        "random,mbtl,specialists",
+        "--json",
+    )
     found = json.loads(output(mbtl, *words, "--budget", "4", "--seeds", "1", cwd=empty))
-    if {row["selector"] for row in found["results"]} != {"random", "mbtl", "auto"}:
+    if {row["selector"] for row in found["results"]} != {*rivals.split(",")}:
         raise Refused(f"mbtl bench gave {found['results']}")
 
 

@@ -89,6 +89,16 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
     return {i: Patch(color=colour, label=words(i)) for i, colour in pairs}
 
 
+def _placed(result: Study | Portfolio) -> dict[int, int]:
+    """Context of every policy that has one: those trained on several have no place."""
+    sets = (
+        result.sets
+        if isinstance(result, Portfolio)
+        else [i for i, row in enumerate(result.state.rows) if len(row.sources) > 1]
+    )
+    return {i: source for i, source in enumerate(result.routing.sources) if i not in sets}
+
+
 def _legend(ax: Any, patches: Mapping[int, Any]) -> None:
     columns = -(-len(patches) // _MOST_LINES)
     words: Any = {"title": "policy: trained on (contexts it serves)", "alignment": "left"}
@@ -108,7 +118,8 @@ def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> An
         ax.plot(x[mine], routing.served[mine], "s", ms=3.5, color=patch.get_facecolor(), zorder=2)
     dress(ax, axis)
     ax.set_ylabel(f"performance {_BY}")
-    number(ax, x[list(routing.sources)], {i: p.get_facecolor() for i, p in patches.items()})
+    places = {i: float(x[source]) for i, source in _placed(result).items()}
+    number(ax, places, {i: p.get_facecolor() for i, p in patches.items()})
     _legend(ax, patches)
     return ax
 
@@ -147,7 +158,7 @@ def _territory(
     for axis, side in zip(drawn, "xy", strict=True):
         dress(ax, axis, side)
     inside = set(here.tolist())
-    _mark(ax, x, y, {p: source for p, source in enumerate(routing.sources) if source in inside})
+    _mark(ax, x, y, {p: source for p, source in _placed(result).items() if source in inside})
     return lined
 
 
@@ -253,7 +264,7 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
     for source in coming:
         below.plot(x[source], 0.0, "^", ms=7, color="#D55E00", clip_on=False, zorder=5)
         ax.plot([], [], "^", ms=7, color="#D55E00", label="next pick")
-    number(ax, x[list(taken)])
+    number(ax, dict(enumerate(x[list(taken)])))
     ax.set_title(title, pad=24)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=4)
     return ax

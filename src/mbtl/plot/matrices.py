@@ -62,5 +62,5 @@ def matrix(
     many = seed is None and matrix.n_seeds > 1
     which = f"mean of {matrix.n_seeds} seeds" if many else f"seed {seed or 0}"
     ax.set_title(f"{matrix.name}, {which}")
-    number(ax, x[list(picks)], side="right", line="white")
+    number(ax, dict(enumerate(x[list(picks)])), side="right", line="white")
     return ax

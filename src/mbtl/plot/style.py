@@ -144,24 +144,24 @@ def edges(axis: Axis | None, levels: Array) -> Array:
 
 def number(
     ax: Any,
-    at: Array,
+    places: Mapping[int, float],
     palette: Mapping[int, Any] | None = None,
     *,
     side: str = "top",
     line: str = GREY,
 ) -> None:
-    """Numbers 1, 2, ... outside the axes at the contexts trained on, none of which hides another.
+    """Numbers from 1 outside the axes at the contexts trained on, none of which hides another.
 
     Args:
         ax: axes whose scales are set.
-        at: (k,) places along the top, or up the right-hand side.
-        palette: place in `at` -> colour.
+        places: position of a policy -> place along the top, or up the right-hand side.
+        palette: position of a policy -> colour.
         side: "top" or "right".
         line: colour of the dotted lines, where the palette has none.
     """
-    if not len(at):
+    if not places:
         return
-    top = side == "top"
+    which, at, top = [*places], np.array([*places.values()]), side == "top"
     start = ax.get_ylim()[0] if top else ax.get_xlim()[0]
     there = np.full(len(at), start)
     points = np.column_stack([at, there] if top else [there, at])
@@ -170,13 +170,13 @@ def number(
     for i in np.argsort(along, kind="stable"):
         row = next((r for r, last in enumerate(free) if along[i] - last >= 0.035), len(free))
         free[row : row + 1] = [along[i]]
-        colour = (palette or {}).get(int(i), line)
+        colour = (palette or {}).get(which[i], line)
         (ax.axvline if top else ax.axhline)(
             at[i], color=colour, lw=0.9, ls=":", zorder=0 if top else 3
         )
         offset = 5 + 11 * row
         ax.annotate(
-            str(i + 1), (at[i], 1.0) if top else (1.0, at[i]),
+            str(which[i] + 1), (at[i], 1.0) if top else (1.0, at[i]),
             xycoords=("data", "axes fraction") if top else ("axes fraction", "data"),
             xytext=(0, offset) if top else (offset, 0), textcoords="offset points",
             fontsize=6.5, ha="center", va="center", annotation_clip=False,
