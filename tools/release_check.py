@@ -196,14 +196,8 @@ def basics(python: str, place: Path) -> None:
         raise Refused(f"the wheel should be imported, but {where} was")
     mbtl = str(Path(python).with_name("mbtl"))
     output(mbtl, "--help", cwd=empty)
-    words = (
-        "bench",
-        "--matrix",
-        "cartpole-length",
-        "--selectors",
-        "random,mbtl,specialists",
-        "--json",
-    )
+    rivals = "random,mbtl,specialists"
+    words = ("bench", "--matrix", "cartpole-length", "--selectors", rivals, "--json")
     found = json.loads(output(mbtl, *words, "--budget", "4", "--seeds", "1", cwd=empty))
     if {row["selector"] for row in found["results"]} != {*rivals.split(",")}:
         raise Refused(f"mbtl bench gave {found['results']}")
