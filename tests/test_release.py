@@ -22,6 +22,11 @@ def release():
     return module
 
 
+def test_the_tests_of_the_core_are_there(release):
+    tests = Path(__file__).parent
+    assert [name for name in release.CORE_TESTS if not (tests / name).exists()] == []
+
+
 @pytest.fixture
 def wheel(release, tmp_path):
     def write(**files):

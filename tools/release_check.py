@@ -49,7 +49,7 @@ IN_SDIST = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.
 FOLDERS = ("tests", "tools", "examples", "benchmarks", "evidence")
 MACHINE_PATH = re.compile(rb"(?<![\w.\]>~])/(?:home|root|Users|work|tmp|opt)/[\w./-]+")
 CORE_TESTS = (
-    "contexts", "acquisition", "models", "selectors", "portfolio", "zoo/benchmark",
+    "test_contexts.py", "test_acquisition.py", "models", "selectors", "portfolio", "zoo/benchmark",
     "study/test_study.py", "study/test_leases.py", "study/test_storage.py",
     "test_objective.py", "test_history.py", "test_files.py", "test_seeds.py",
     "test_routing.py", "test_layers.py", "test_missing_extras.py",
