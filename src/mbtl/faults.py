@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TextIO
 
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 
 FAULTS = (Exception, SystemExit)
 """What other people's code raises where it fails: `sys.exit` there must not end our program."""
@@ -27,6 +27,10 @@ _TRACEBACK = 8000
 
 _HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 """What moves a cursor, colours, rings, turns the direction of writing, or is half a character."""
+
+
+class TookTooLong(TrainingFailed):
+    """A training or an evaluation was ended at its time limit."""
 
 
 def harmless(text: str, most: int | None = None) -> str:

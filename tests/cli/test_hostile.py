@@ -137,16 +137,22 @@ def test_code_that_exits_is_a_failed_training_and_a_failed_check(folder, mbtl_co
     assert "sys.exit(0) was called" in out
 
 
-@pytest.mark.usefixtures("folder", "undrawn")
-@pytest.mark.parametrize("problem", ["slow", "stuck"])
-def test_a_training_that_never_returns_is_killed_at_its_limit(mbtl_command, monkeypatch, problem):
-    monkeypatch.setattr("mbtl.study.batch.START", 5.0)
-    monkeypatch.setattr("mbtl.study.study.START", 5.0)
-    code, _, err = mbtl_command(
-        "run", f"own.py:{problem}", "--strategy", "random", "--timeout", "0.3"
-    )
+@pytest.mark.usefixtures("folder")
+def test_a_training_that_never_reports_ends_at_its_limit(mbtl_command):
+    code, _, err = mbtl_command("run", "own.py:slow", "--timeout", "0.3")
     assert code == 1
     assert "it took longer than 0.3 s" in err
+
+
+@pytest.mark.long  # it is given time to clean up
+def test_native_code_that_never_returns_is_recorded_and_ends_the_process(folder):
+    code, _, err = shell(folder, "MBTL run own.py:stuck --strategy random --timeout 0.3")
+    assert code == 1
+    assert "in native code that does not return. This process ends" in err
+    (study,) = folder.glob("runs/*")
+    (failure,) = mbtl.load_study(study).state.failures
+    assert failure.reason.startswith("it took longer than 0.3 s")
+    assert not mbtl.load_study(study).state.open_picks
 
 
 @pytest.mark.parametrize("gap", [pytest.param(0.0, marks=pytest.mark.long), 0.01])

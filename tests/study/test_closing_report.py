@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 import mbtl
-from flat import created
+from flat import created, ran
 from mbtl.seeds import Purpose
 from mbtl.study.closing_report import chances, drawn, estimated, plan_of
 
@@ -140,6 +140,21 @@ def test_a_sample_by_weight_is_unbiased_and_its_intervals_cover():
         inside.append(abs(errors[-1]) < margin)
     assert abs(np.mean(errors)) < 3.0 * np.std(errors) / np.sqrt(600)
     assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_an_evaluation_of_the_report_has_the_time_limit_of_the_study(capsys):
+    def evaluate(policy, contexts, seeds):
+        while seeds[0] >> 28 == Purpose.REPORT:
+            pass
+        return returns_of(policy, contexts, seeds)
+
+    study = study_of(budget=1)
+    result = ran(study, lambda context, seed: 0.5, evaluate, timeout=0.5, progress=True)
+    assert result.fresh is None
+    assert result.value == study.routing.value.value
+    assert (
+        "could not be measured: TookTooLong: it took longer than 0.5 s" in capsys.readouterr().err
+    )
 
 
 def test_the_worst_contexts_are_not_chosen_by_the_bad_luck_of_a_report():

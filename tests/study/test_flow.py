@@ -19,12 +19,12 @@ from postgres import missing
 import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.faults import TookTooLong
 from mbtl.processes import SeparateWorkers
 from mbtl.seeds import training_seed
-from mbtl.selectors import Proposal
 from mbtl.study import Callback
+from mbtl.study.time_limits import at_most
 from mbtl.trainers import FunctionTrainer
-from scripted import Scripted
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies"),
@@ -163,58 +163,99 @@ def test_limits_that_make_no_sense_are_refused(wrong):
 WRONG = 8  # the context on which something goes wrong
 
 
-class Endless(FunctionTrainer):
-    """Its first training never returns, nor hears signals that Python hears."""
-
-    def __init__(self):
-        functions = (quick_problem.evaluate, quick_problem.save, quick_problem.load)
-        super().__init__(quick_problem.train, *functions)
-
-    def train(self, contexts, seed, **asked):
-        if quick_problem.SPACE.index(contexts[0]) == ENDLESS:
-            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM, signal.SIGINT])
-            threading.Lock().acquire()
-            while True:
-                time.sleep(60)
-        return super().train(contexts, seed, **asked)
+def spin():
+    while True:
+        pass
 
 
-ENDLESS = 3
+def spin_in_numpy():
+    while True:
+        np.ones((50, 50)) @ np.ones((50, 50))
 
 
-@pytest.mark.parametrize("parallel", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_training_that_takes_too_long_is_killed(tmp_path, parallel, monkeypatch):
-    monkeypatch.setattr("mbtl.study.batch.START", 15.0 * parallel)
-    script = Scripted((Proposal(5, "first"), Proposal(ENDLESS, "second")))
-    study = created(
-        quick_problem.SPACE, budget=2, bounds=(-20.0, 0.0), strategy=script,
-        storage=tmp_path / "study.db",
-    )  # fmt: skip
-    ran(study, trainer=Endless(), timeout=0.2, report=False, rehearse=False, parallel=parallel)
-    assert [one.source for one in study.state.rows] == [5]
-    assert [(one.source, one.reason) for one in study.state.failures] == [
-        (ENDLESS, "it took longer than 0.2 s")
-    ]
+def catch_everything():
+    while True:
+        try:
+            time.sleep(60)
+        except Exception:
+            continue
 
 
-def test_a_training_of_an_executor_that_takes_too_long_is_given_up(monkeypatch):
-    monkeypatch.setattr("mbtl.study.batch.START", 0.0)
-    wrong, over = SPACE.context(WRONG)["x"], threading.Event()
+def wait_for_a_lock():
+    lock = threading.Lock()
+    lock.acquire()
+    lock.acquire()
+
+
+def wait_for_a_child():
+    subprocess.run([sys.executable, "-c", "import time; time.sleep(60)"])
+
+
+ENDLESS = [spin, spin_in_numpy, catch_everything, wait_for_a_lock, wait_for_a_child]
+
+
+@pytest.mark.parametrize("endless", ENDLESS)
+def test_a_limit_ends_what_never_returns(endless):
+    usual = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(TookTooLong, match=r"^it took longer than 0\.05 s$"), at_most(0.05):
+        endless()
+    assert signal.getsignal(signal.SIGALRM) == usual
+
+
+def test_a_limit_holds_in_a_thread_too():
+    def limited():
+        with at_most(0.05):
+            spin()
+
+    with ThreadPoolExecutor(1) as pool, pytest.raises(TookTooLong):
+        pool.submit(limited).result()
+
+
+def test_what_ends_in_time_hears_nothing_of_its_limit():
+    for _ in range(100):  # among them some that end when the alarm rings
+        try:
+            with at_most(0.002):
+                time.sleep(0.0019)
+        except TookTooLong:
+            pass
+        time.sleep(0.0005)
+
+
+def test_native_code_that_never_returns_is_told_of():
+    """A mutex that is locked twice waits for ever, whatever signals come."""
+    script = """
+import ctypes, os, mbtl.study.time_limits as limits
+limits.GRACE = 0.05
+libc, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(64)
+with limits.at_most(0.05, lambda: os._exit(7)):
+    libc.pthread_mutex_lock(mutex)
+    libc.pthread_mutex_lock(mutex)
+"""
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 7
+
+
+@pytest.mark.parametrize(("where", "parallel"), [("train", 1), ("train", 2), ("evaluate", 1)])
+def test_a_training_that_never_reports_is_ended(where, parallel):
+    wrong = SPACE.context(WRONG)["x"]
 
     def trained(context, seed):
-        if context["x"] == wrong:
-            over.wait()
+        if where == "train" and context["x"] == wrong:
+            spin()
         return context["x"]
+
+    def evaluated(policy, contexts, seed):
+        if where == "evaluate" and policy == wrong:
+            spin()
+        return evaluate(policy, contexts, seed)
 
     study = study_of()
     with ThreadPoolExecutor(2) as pool:
-        ran(study, trained, evaluate, timeout=1.0, report=False, rehearse=False, parallel=2,
-            executor=pool)  # fmt: skip
-        over.set()
+        ran(study, trained, evaluated, timeout=0.2, report=False, rehearse=False,
+            parallel=parallel, executor=pool)  # fmt: skip
     assert len(study.state.rows) == 8
-    assert [(one.source, one.reason) for one in study.state.failures] == [
-        (WRONG, "it took longer than 1 s")
-    ]
+    failed = [*study.state.failures, *study.state.deferred.values()]
+    assert [one.source for one in failed] == [WRONG]
+    assert failed[0].reason.endswith("it took longer than 0.2 s" if where == "train" else "0.2 s")
 
 
 @pytest.mark.parametrize("parallel", [1, 2])

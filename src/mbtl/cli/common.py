@@ -214,8 +214,8 @@ def print_origin(error: BaseException) -> None:
     lines = getattr(error, "__notes__", [])  # of another process
     if cause is not None:
         lines = [traceback_of(cause)]
-    if said := "".join(lines).rstrip():
-        console.say(said, "dim")
+    if lines:
+        console.say("".join(lines).rstrip(), "dim")
 
 
 class LongWork:

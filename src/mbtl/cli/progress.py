@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from types import TracebackType
 
@@ -84,6 +85,12 @@ class LiveProgress(PrintProgress):
         head = f"{study.state.numbered(pick, '/')}  {_said(study, pick):<24}"
         self._say(f"{head}  {estimate(study)}  {took / 60:.1f} min  {pick.reason}", pick)
         self._update(study)
+
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """Its failure is recorded, and the process can only be ended: nothing else would be."""
+        why = f"{reason}. This process ends, since it cannot go on; the same command does"
+        self.on_failed(study, pick, why)
+        os._exit(1)
 
     def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
         """One line that stays; the bar of a pick that has ended goes."""

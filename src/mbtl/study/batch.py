@@ -31,6 +31,7 @@ from mbtl.study.job import (
     perform_elsewhere,
 )
 from mbtl.study.records import Pick
+from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
 
 _logger = getLogger(__name__)
@@ -40,8 +41,9 @@ _DIED = (
 )
 
 
-START = 30.0
-"""Seconds that a process may take to begin, beside its time limit."""
+_LATE = 30.0
+"""Seconds after its time limit when a job is given up that has not ended itself: it is in native
+code that does not return, or its process took long to begin."""
 
 
 _DEAD, _CANCELLED = "its worker process died", "it was cancelled"
@@ -63,8 +65,7 @@ class Batches:
         rehearse: the first policy is read back and evaluated on two targets before all else.
         announce: calls a method of all callbacks, by its name, with what it takes.
         keeper: keeps the leases of the picks.
-        timeout: seconds that a training and its evaluation may take in the executor; None: as many
-            as they want.
+        timeout: seconds that a training and its evaluation may take; None: as many as they want.
         retries: so often a training that failed is begun again before it counts as failed.
         held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
             that nobody tries again at once.
@@ -83,6 +84,7 @@ class Batches:
     _under_way: dict[Future[Any], tuple[Pick, float]] = field(default_factory=dict)
     _died: set[int] = field(default_factory=set)
     _in_a_row: int = 0
+    _given_up: set[int] = field(default_factory=set)
     _ending: bool = False
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
@@ -197,15 +199,19 @@ class Batches:
         patience = None
         if self.timeout is not None:
             first = min(began for _, began in self._under_way.values())
-            patience = max(0.0, first + self.timeout + START - time.monotonic()) + 0.01
+            patience = max(0.0, first + self.timeout + _LATE - time.monotonic()) + 0.01
         done, _ = wait_for(self._under_way, patience, return_when=FIRST_COMPLETED)
         for future in [one for one in self._under_way if one in done]:  # in the order they began
             pick, _ = self._under_way.pop(future)
             yield pick, self._brought(future)
         for future, (pick, began) in list(self._under_way.items()):
-            if self.timeout is not None and time.monotonic() - began - START > self.timeout:
+            if self.timeout is not None and time.monotonic() - began - _LATE > self.timeout:
                 del self._under_way[future]
-                yield pick, ended(future, self.executor, self.timeout)
+                if isinstance(self.executor, SeparateWorkers):
+                    self.executor.kill(future)
+                future.cancel()
+                error = too_long(self.timeout)
+                yield pick, Trouble("training", str(error), "", error)
 
     def _brought(self, future: Future[Any]) -> Outcome | Trouble | None:
         """What it gave, also where its worker died or its user cancelled it."""
@@ -234,18 +240,29 @@ class Batches:
     # ---- one training ------------------------------------------------------------------------
 
     def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
-        """Do it in this thread; None: it is somebody else's by now."""
+        """Do it in this thread; None: it is somebody else's by now, or was given up."""
         try:
-            return perform(
+            outcome = perform(
                 job,
                 partial(self._progressed, pick),
                 partial(self._keep, pick),
                 partial(self._announce, "on_evaluation", pick),
+                partial(self._give_up, pick),
             )
         except _Stopped:
             return None
         except _Pruned as wrapped:
             return Trouble("training", str(wrapped.error), "", wrapped.error)
+        return None if pick.number in self._given_up else outcome
+
+    def _give_up(self, pick: Pick) -> None:
+        """In another thread: this one is in native code, perhaps for ever, and will not answer."""
+        self._given_up.add(pick.number)
+        assert self.timeout is not None
+        reason = f"{too_long(self.timeout)}, in native code that does not return"
+        self.study.fail(pick, reason)
+        self.keeper.drop(pick)
+        self.announce("on_stuck", pick, reason)
 
     def _progressed(self, pick: Pick, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
@@ -266,6 +283,7 @@ class Batches:
             places_of(study, pick),
             study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
+            self.timeout,
             start,
             pick.done,
             pick.length,
@@ -442,14 +460,6 @@ def places_of(study: AskTell, pick: Pick) -> list[str]:
     base = f"policies/{study.state.uid}/{own}"
     tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]
-
-
-def ended(future: Future[Any], executor: Executor | None, timeout: float) -> Trouble:
-    """What took too long is given up, and its process killed where it is ours."""
-    if isinstance(executor, SeparateWorkers):
-        executor.kill(future)
-    future.cancel()
-    return Trouble("training", f"it took longer than {timeout:g} s", "")
 
 
 def brought_back(future: Future[Any]) -> Any:

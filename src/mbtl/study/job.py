@@ -22,8 +22,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingPruned
-from mbtl.faults import FAULTS, REASON, harmless, reason_of, traceback_of
+from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore, scratch
+from mbtl.study.time_limits import at_most
 from mbtl.trainers.contract import (
     CountingTrainer,
     FunctionTrainer,
@@ -74,6 +75,7 @@ class Job:
             it; the last one is where it is to be written, and nobody else writes there.
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
+        timeout: seconds for all of it; None: no limit.
         start: the policy to begin with; None: from scratch.
         done: units that its training has had, where it goes on.
         length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
@@ -93,6 +95,7 @@ class Job:
     places: Sequence[str] = ("",)
     kept: Kept | None = None
     rehearse: bool = False
+    timeout: float | None = None
     start: Kept | None = None
     done: float = 0.0
     length: float | None = None
@@ -155,6 +158,7 @@ def perform(
     on_progress: OnProgress | None = None,
     on_kept: Callable[[Kept], None] = lambda kept: None,
     on_evaluation: Callable[[], None] | None = None,
+    on_stuck: Callable[[], None] | None = None,
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
 
@@ -166,40 +170,42 @@ def perform(
         on_kept: given the policy at once, so that not even an interrupt loses it, and again when
             it is saved.
         on_evaluation: called when the policy is trained and saved.
+        on_stuck: called from another thread where the job does not end at its time limit.
     """
     started = time.perf_counter()
     kept, steps = job.kept, _Steps(on_progress, _steps_before(job))
     stage: Stage = "training" if kept is None else "saving"
     try:
-        if job.length == 0.0:
-            stage = "loading"
-            kept = Kept(_begun_with(job), Artifact("", ""))
-        if kept is None and (found := _left(job)) is not None:
-            stage, kept = "loading", Kept(None, found)
-            kept = _found(job, found)
-        if kept is None:
-            kept = _trained(job, steps)
-            on_kept(kept)
-        if kept.artifact is None:
-            stage = "saving"
-            kept = replace(kept, state=_save_state(job) or kept.state)
-            kept = replace(kept, artifact=_save(job, kept))
-            on_kept(kept)
-            _forget_partial(job)
-        if on_evaluation is not None:
-            on_evaluation()
-        if job.rehearse and job.length != 0.0 and kept.artifact is not None:
-            stage = "loading"  # what cannot be read back is found out with the first policy
-            kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
-        stage = "evaluation"
-        if job.rehearse and len(job.targets) > 2:
-            last = len(job.targets) - 1
-            seeds = job.evaluation_seeds[::last]
-            _evaluated(
-                replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
-            )
-        returns, played = _evaluated(job, kept.policy)
-    except TrainingPruned as error:
+        with at_most(job.timeout, on_stuck):
+            if job.length == 0.0:
+                stage = "loading"
+                kept = Kept(_begun_with(job), Artifact("", ""))
+            if kept is None and (found := _left(job)) is not None:
+                stage, kept = "loading", Kept(None, found)
+                kept = _found(job, found)
+            if kept is None:
+                kept = _trained(job, steps)
+                on_kept(kept)
+            if kept.artifact is None:
+                stage = "saving"
+                kept = replace(kept, state=_save_state(job) or kept.state)
+                kept = replace(kept, artifact=_save(job, kept))
+                on_kept(kept)
+                _forget_partial(job)
+            if on_evaluation is not None:
+                on_evaluation()
+            if job.rehearse and job.length != 0.0 and kept.artifact is not None:
+                stage = "loading"  # what cannot be read back is found out with the first policy
+                kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
+            stage = "evaluation"
+            if job.rehearse and len(job.targets) > 2:
+                last = len(job.targets) - 1
+                seeds = job.evaluation_seeds[::last]
+                _evaluated(
+                    replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
+                )
+            returns, played = _evaluated(job, kept.policy)
+    except (TrainingPruned, TookTooLong) as error:
         return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
     except FAULTS as error:
         return Trouble(stage, reason_of(error), traceback_of(error), error, kept, steps.done)
@@ -242,6 +248,7 @@ def rehearse(
     trainer: RehearsingTrainer,
     targets: Sequence[Context],
     seeds: Sequence[int],
+    timeout: float | None = None,
 ) -> Trouble | None:
     """Save, load and evaluate an untrained policy; what went wrong, or None.
 
@@ -251,11 +258,12 @@ def rehearse(
         trainer: can make an untrained policy.
         targets: a few contexts.
         seeds: of their evaluations.
+        timeout: seconds that it may take; None: no limit.
     """
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
             trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)),
-            places=["policies/a/trial"], rehearse=True, untrained=True,
+            places=["policies/a/trial"], rehearse=True, timeout=timeout, untrained=True,
         )  # fmt: skip
         outcome = perform_elsewhere(job)
     return None if isinstance(outcome, Outcome) else outcome

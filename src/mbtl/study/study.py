@@ -13,7 +13,6 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -39,13 +38,14 @@ from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
-from mbtl.study.batch import START, Batches, brought_back, ended, failure
+from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
 from mbtl.study.records import Failure, Pick, StudyFinished
 from mbtl.study.tell import sources_of
+from mbtl.study.time_limits import at_most, too_long
 from mbtl.study.trainings import Training
 from mbtl.trainers.contract import (
     FunctionTrainer,
@@ -104,13 +104,12 @@ class Workers:
     Attributes:
         parallel: picks trained at the same time. Each is told when it is done, and the next one is
             proposed at once, without the rows of those under way.
-        executor: does them when `parallel` > 1 or there is a `timeout`; None: processes of this
-            machine.
+        executor: does them when `parallel` > 1; None: processes of this machine.
         lease: seconds without a sign of life after which other runs take the trainings over. On one
             machine they do so at once when the process has ended.
-        timeout: seconds that a training and its evaluation may take; longer ones have failed. They
-            are done in processes of their own, which are killed then, also with `parallel=1`; those
-            of an `executor` are given up.
+        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
+            count as failed. In this process only Python code and waits can be ended, and native
+            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
 
     Raises:
         InvalidInput: a number that is too small.
@@ -317,6 +316,13 @@ class Callback:
     def on_lost(self, study: Study, pick: Pick) -> None:
         """A pick was taken over or taken away; its training counts for nothing."""
 
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training did not end at its time limit, and counts as failed. From another thread.
+
+        This process can do nothing more until its native code returns: what is worth having is to
+        be saved here, or the process ended.
+        """
+
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """The policies are now evaluated on fresh seeds, as often as the plan says."""
 
@@ -357,6 +363,13 @@ class PrintProgress(Callback):
     def on_lost(self, study: Study, pick: Pick) -> None:
         """That the work was for nothing."""
         self._say(f"{study.state.where(pick)} was taken over by somebody else", pick, "yellow")
+
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why nothing happens, and what helps."""
+        self._say(
+            f"{study.state.where(pick)} failed: {reason}; end this process and run again to go on: "
+            "worker processes (Workers(2)) would be killed"
+        )
 
     def on_report(self, study: Study, plan: ReportPlan) -> None:
         """How much is evaluated."""
@@ -432,7 +445,7 @@ def run(
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
-                _rehearse(study, partial(rehearsed, trainer), pooled, workers.timeout)
+                _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
                 first_policy = False
             batches = Batches(
                 study, trainer, pooled, failures.most_in_a_row - 1, first_policy, announce, keeper,
@@ -450,7 +463,7 @@ def run(
                 batches.give_back_held()
         _check_any_success(study)
         if report:
-            _report(study, trainer, announce, whole=report == "all")
+            _report(study, trainer, announce, workers.timeout, whole=report == "all")
     finally:
         announce("on_end")
     return RunResult(
@@ -467,7 +480,7 @@ def run(
 @contextmanager
 def _pool(workers: Workers) -> Iterator[Executor | None]:
     """Where jobs run; None: in this process."""
-    if workers.parallel == 1 and workers.timeout is None:
+    if workers.parallel == 1:
         yield None
     elif workers.executor is not None:
         yield workers.executor
@@ -487,10 +500,7 @@ def _check_any_success(study: Study) -> None:
 
 
 def _rehearse(
-    study: Study,
-    rehearsal: Callable[..., Trouble | None],
-    executor: Executor | None,
-    timeout: float | None,
+    study: Study, rehearsal: Callable[..., Trouble | None], executor: Executor | None
 ) -> None:
     """Find out before the first training what would fail after it."""
     ends = sorted({0, study.space.n - 1})
@@ -498,9 +508,7 @@ def _rehearse(
     if executor is None:
         trouble = rehearsal(contexts, seeds)
     else:
-        future = executor.submit(rehearsal, contexts, seeds)
-        in_time = wait_for([future], None if timeout is None else timeout + START).done
-        trouble = brought_back(future) if in_time else ended(future, executor, timeout or 0.0)
+        trouble = brought_back(executor.submit(rehearsal, contexts, seeds))
     if trouble is None:
         return
     if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
@@ -551,6 +559,7 @@ def _report(
     study: Study,
     trainer: Trainer,
     announce: Callable[..., None],
+    timeout: float | None,
     *,
     whole: bool,
 ) -> None:
@@ -564,12 +573,13 @@ def _report(
     if planned(baselines=beside.baselines) is None:
         return
     told = len(study.state.rows)
+    stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
         baselines = _baselines(study, trainer)
         plan = planned(baselines=baselines)
         assert plan is not None  # more baselines are more to do
         announce("on_report", plan)
-        _play(study, trainer, plan, baselines, announce)
+        _play(study, trainer, plan, baselines, announce, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
@@ -620,8 +630,7 @@ def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
         except Exception as error:
             raise InvalidInput(
                 "training in other processes needs functions of a module that they can import, got "
-                f"one that cannot be sent ({error}); move it to a module, or use Workers(1) "
-                "without a timeout"
+                f"one that cannot be sent ({error}); move it to a module, or use Workers(1)"
             ) from error
 
 
@@ -631,6 +640,8 @@ def _play(
     plan: ReportPlan,
     baselines: Mapping[str, Any],
     announce: Callable[..., None],
+    timeout: float | None = None,
+    on_stuck: Callable[[], None] | None = None,
 ) -> None:
     """Evaluate what the plan says on fresh seeds, and record it.
 
@@ -640,6 +651,8 @@ def _play(
         plan: see `plan_of`.
         baselines: what is played beside them, by name.
         announce: tells people.
+        timeout: seconds for each policy; None: no limit.
+        on_stuck: see `mbtl.study.time_limits.at_most`.
     """
     rows, portfolio, n = len(study.state.rows), study.portfolio(trainer), study.space.n
     names = tuple(study.beside.metrics)
@@ -649,11 +662,12 @@ def _play(
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
         told: Mapping[str, Array] = {}
-        if isinstance(trainer, MeasuringTrainer) and (names or not own):
-            told = trainer.measure(policy, contexts, seeds, names)
-            returns = told[SCORE]
-        else:
-            returns = trainer.evaluate(policy, contexts, seeds)
+        with at_most(timeout, on_stuck):
+            if isinstance(trainer, MeasuringTrainer) and (names or not own):
+                told = trainer.measure(policy, contexts, seeds, names)
+                returns = told[SCORE]
+            else:
+                returns = trainer.evaluate(policy, contexts, seeds)
         blank = np.full((targets.size, 1), np.nan)
         means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
         returns = checked_returns(returns, targets.size, study.space.named(targets))
