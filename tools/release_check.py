@@ -52,7 +52,7 @@ CORE_TESTS = (
     "test_contexts.py", "test_acquisition.py", "models", "selectors", "portfolio", "zoo/benchmark",
     "study/test_study.py", "study/test_leases.py", "study/test_storage.py",
     "test_objective.py", "test_history.py", "test_files.py", "test_seeds.py",
-    "test_routing.py", "test_layers.py", "test_missing_extras.py",
+    "test_routing.py", "test_missing_extras.py",
 )  # fmt: skip
 
 
