@@ -175,16 +175,28 @@ class Full(FolderStore):
         raise OSError(28, "No space left on device")
 
 
-def test_a_policy_that_cannot_be_saved_waits_in_memory_for_the_next_run(tmp_path):
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_policy_that_cannot_be_saved_waits_for_the_next_run(tmp_path, monkeypatch, beside):
     TRAINED.clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    if not beside:
+        (tmp_path / "waiting").write_text("no room beside the database")
     study, trainer = study_at(tmp_path, tmp_path / "kept", budget=1), COUNTING
-    usual, study.artifacts = study.artifacts, Full(tmp_path / "kept")
-    with pytest.raises(StorageError, match="in the memory of this process alone"):
+    study.artifacts = Full(tmp_path / "kept")
+    place = tmp_path / "waiting" if beside else tmp_path / "cache" / "mbtl" / "waiting"
+    with pytest.raises(StorageError, match=rf"waits in {place}.*not trained again"):
         study.run(trainer=trainer, progress=False)
-    study.artifacts = usual
-    study.run(trainer=trainer, progress=False)
-    assert len(TRAINED) == len(study.state.rows) == 1
-    assert study.portfolio(trainer).policy(0) == TRAINED[0]
+    assert len(list(place.rglob("x.txt"))) == 1
+
+    again = mbtl.load_study(tmp_path, artifacts=tmp_path / "kept")
+    again.artifacts = Full(tmp_path / "kept")
+    with pytest.raises(StorageError, match="not trained again"):
+        again.run(trainer=trainer, progress=False)
+    again = mbtl.load_study(tmp_path, artifacts=tmp_path / "kept")
+    again.run(trainer=trainer, progress=False)
+    assert len(TRAINED) == len(again.state.rows) == 1
+    assert again.portfolio(trainer).policy(0) == TRAINED[0]
+    assert list(place.rglob("x.txt")) == []
 
 
 class Recipe(FunctionTrainer):

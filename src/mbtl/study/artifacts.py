@@ -10,6 +10,7 @@ from __future__ import annotations
 import atexit
 import hashlib
 import json
+import os
 import shutil
 import tempfile
 import uuid
@@ -219,6 +220,18 @@ class RemoteStore:
 
 ArtifactStore = FolderStore | RemoteStore
 """Keeps policies; it travels to other processes."""
+
+
+def spools_of(database: Path | None) -> tuple[FolderStore, ...]:
+    """Where policies wait that could not be saved in their store, best first: whoever runs the
+    study again finds them there.
+
+    Args:
+        database: file of the study; None: it has none.
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    beside = () if database is None else (database.parent / "waiting",)
+    return tuple(FolderStore(root) for root in (*beside, Path(home, "mbtl", "waiting")))
 
 
 def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:

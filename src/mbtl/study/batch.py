@@ -18,7 +18,7 @@ from typing import Any
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
-from mbtl.study.artifacts import Artifact
+from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
@@ -283,6 +283,7 @@ class Batches:
             places_of(study, pick),
             study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
+            spools_of(study.database) if study.is_durable else (),
             self.timeout,
             start,
             pick.done,

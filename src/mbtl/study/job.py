@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -75,6 +75,7 @@ class Job:
             it; the last one is where it is to be written, and nobody else writes there.
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
+        spools: where the policy waits while the store cannot be written, best first.
         timeout: seconds for all of it; None: no limit.
         start: the policy to begin with; None: from scratch.
         done: units that its training has had, where it goes on.
@@ -95,6 +96,7 @@ class Job:
     places: Sequence[str] = ("",)
     kept: Kept | None = None
     rehearse: bool = False
+    spools: tuple[FolderStore, ...] = ()
     timeout: float | None = None
     start: Kept | None = None
     done: float = 0.0
@@ -181,8 +183,8 @@ def perform(
                 stage = "loading"
                 kept = Kept(_begun_with(job), Artifact("", ""))
             if kept is None and (found := _left(job)) is not None:
-                stage, kept = "loading", Kept(None, found)
-                kept = _found(job, found)
+                stage, kept = "loading", Kept(None, found[1])
+                kept = _found(job, *found)
             if kept is None:
                 kept = _trained(job, steps)
                 on_kept(kept)
@@ -282,13 +284,19 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     return checked, steps if steps == steps else None
 
 
-def _left(job: Job) -> Artifact | None:
-    """The policy of this very training, by somebody who was ended after it."""
-    if job.store is None:
-        return None
+def _left(job: Job) -> tuple[ArtifactStore, Artifact] | None:
+    """Where the policy of this very training is, by somebody who was ended after it."""
+    for store in () if job.store is None else (job.store, *job.spools):
+        if (found := _left_in(store, job)) is not None:
+            return store, found
+    return None
+
+
+def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
+    """The policy of this training in one store."""
     made = equipment_of(job.trainer)
     for place in reversed(job.places):
-        receipt = job.store.receipt(place)
+        receipt = store.receipt(place)
         if (
             receipt is not None
             and receipt.get("seed") == job.seed
@@ -297,7 +305,7 @@ def _left(job: Job) -> Artifact | None:
             and isinstance(receipt.get("sha256"), str)
         ):
             try:
-                job.store.read(place, receipt["sha256"])
+                store.read(place, receipt["sha256"])
             except StorageError:  # of other files by now: no policy of this training
                 continue
             return Artifact(place, receipt["sha256"])
@@ -309,14 +317,16 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _found(job: Job, artifact: Artifact) -> Kept:
-    """What a former worker has left: the policy, and what its receipt says of the training."""
-    assert job.store is not None
-    receipt = job.store.receipt(artifact.place) or {}
+def _found(job: Job, store: ArtifactStore, artifact: Artifact) -> Kept:
+    """What a former worker has left: the policy, and what its receipt says of the training.
+
+    One that waits in a spool is still to be saved.
+    """
+    receipt = store.receipt(artifact.place) or {}
     state = receipt.get("state")
     return Kept(
-        job.trainer.load(_folder(job, artifact)),
-        artifact,
+        job.trainer.load(store.read(artifact.place, artifact.sha256)),
+        artifact if store is job.store else None,
         receipt.get("steps"),
         Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
     )
@@ -435,7 +445,7 @@ def _forget_partial(job: Job) -> None:
 
 
 def _save(job: Job, kept: Kept) -> Artifact | None:
-    """Keep it in the store."""
+    """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
     made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
@@ -444,12 +454,16 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:
-        return job.store.write(job.place, fill, receipt)
+        safe = job.store.write(job.place, fill, receipt)
     except (StorageError, OSError) as error:
+        waits = _spooled(job, fill, receipt)
+        then = (
+            f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
+        )
         why = getattr(error, "strerror", None) or error
         raise StorageError(
-            f"the policy could not be saved in {job.place} ({why}); it is in the memory of this "
-            "process alone, and what was told is kept: free space or mend access, then run again"
+            f"the policy could not be saved in {job.place} ({why}); {then}: free space or mend "
+            "access, then run the same command again"
         ) from error
     except NOT_THE_TRAININGS_FAULT:
         raise
@@ -459,3 +473,18 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
             "memory of this process alone: mend save and run the study again here, since another "
             "process would train it again"
         ) from error
+    for spool in job.spools:
+        for place in job.places:
+            spool.remove(place)
+    return safe
+
+
+def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any]) -> Path | None:
+    """Where the policy waits; None: it could be saved nowhere."""
+    for spool in job.spools:
+        with contextlib.suppress(Exception):  # the next one may do
+            if spool.write(job.place, fill, receipt) is not None:
+                for place in job.places[:-1]:  # where it has waited before
+                    spool.remove(place)
+                return spool.read(job.place)
+    return None
