@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import mbtl
-from flat import created
+from flat import created, ran
 from mbtl.errors import InvalidInput
 from mbtl.report import of_study, page, write_page
 from mbtl.report.content import content
 from mbtl.report.packing import packed, quantised
+from mbtl.selectors import Proposal
 from mbtl.zoo.benchmark import TransferMatrix
 from mbtl.zoo.benchmark.subject import of_matrix
+from scripted import Scripted
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
@@ -185,3 +187,22 @@ def test_a_matrix_of_900_contexts_that_is_all_noise_is_below_5_mb():
     steps = dict.fromkeys(("mean", "std", "gain", "served"), table[:15])
     data = packed([{"matrix": table, **steps}])
     assert len(data) + len(compressed(_plotly().encode())) < 4.9e6
+
+
+def test_policies_of_several_contexts_and_tuned_copies_are_told_from_specialists():
+    every = tuple(range(N))
+    script = (
+        Proposal(9, "all", sources=every, length=0.5),
+        Proposal(9, "longer", sources=every, start=0, length=1.0),
+        Proposal(3, "tuned", start=1, length=0.5),
+        Proposal(3, "tuned on", start=2, length=1.0),
+        Proposal(4, "from scratch"),
+    )
+    study = created(SPACE, budget=4, strategy=Scripted(script), bounds=(0.0, 1.0))
+
+    def train(contexts, seed, *, start=None, length=None):
+        return len(contexts)
+
+    ran(study, train, lambda policy, contexts, seeds: np.full((len(contexts), 3), 0.5))
+    found = content(of_study(study))
+    assert found["kinds"] == ["several", "several", "tuned", "tuned", "specialist"]
