@@ -17,7 +17,7 @@ import contextlib
 import math
 import numbers
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
@@ -622,6 +622,13 @@ class ContextSpace:
     def __hash__(self) -> int:
         return hash((self.axes, self.n))
 
+    def difference(self, now: ContextSpace) -> tuple[str, Any, Any] | None:
+        """What differs first, what it is here, and what it is `now`; None: the spaces are equal."""
+        if self == now:
+            return None
+        pairs = zip(_told(self), _told(now), strict=False)  # alike up to the first difference
+        return next(((name, was, other) for (name, was), (_, other) in pairs if was != other), None)
+
     def __repr__(self) -> str:
         names = ", ".join(axis.label for axis in self.axes)
         return f"ContextSpace({names}; {self.n} contexts)"
@@ -681,6 +688,19 @@ class ContextSpace:
                 f"contexts must be distinct, got {self.context(first)!r} at index {first} and "
                 f"again at index {second}; remove one"
             )
+
+
+def _told(space: ContextSpace) -> Iterator[tuple[str, Any]]:
+    """All that a space consists of, by name; what decides how much follows comes first."""
+    yield "the axes of the space", [axis.label for axis in space.axes]
+    for axis in space.axes:
+        yield from ((f"axis {axis.name!r}, {key}", value) for key, value in axis.to_json().items())
+    yield "the number of contexts", space.n
+    for i in range(space.n):
+        yield f"the context of index {i}", space.context(i)
+    for i in range(space.n):
+        yield f"the weight of {space.context(i)}", float(space.weights[i])
+    yield "the form of the space", "a grid" if space.shape else "a list"
 
 
 def _key(unit: Array) -> tuple[float, ...]:

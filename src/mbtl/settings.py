@@ -82,19 +82,10 @@ def differences(
     """
     for key in [*new, *(key for key in old if key not in new)]:
         was, now = old.get(key), new.get(key)
-        parts, others = _named(was), _named(now)
-        if parts is not None and others is not None:
-            yield from differences(parts, others, f"{path}{key}.")
+        if isinstance(was, Mapping) and isinstance(now, Mapping):
+            yield from differences(was, now, f"{path}{key}.")
         elif was != now:
             yield f"{path}{key}", was, now
-
-
-def _named(value: Any) -> Mapping[str, Any] | None:
-    """What has parts of its own: records, and lists of records or lists, by their places."""
-    inner = (Mapping, list)
-    if isinstance(value, list) and value and all(isinstance(one, inner) for one in value):
-        return {str(i): one for i, one in enumerate(value)}
-    return value if isinstance(value, Mapping) else None
 
 
 # ---- values ------------------------------------------------------------------------------------

@@ -77,7 +77,7 @@ def test_what_is_given_counts_more_than_the_problem():
         (problem(version=4), "version was 3, got 4"),
         (problem(settings={"visibility": "raw"}), "switches"),
         (CMDP("else", SPACE, Toy(), version=3), "problem was 'toy', got 'else'"),
-        (CMDP("toy", SPACE.every(2), Toy(), version=3), r"space\.grid\.0 was \[1\.0, 2\.0, "),
+        (CMDP("toy", SPACE.every(2), Toy(), version=3), "the number of contexts was"),
     ],
 )
 def test_another_problem_is_refused(tmp_path, other, words):

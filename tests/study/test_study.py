@@ -139,12 +139,13 @@ X = mbtl.Linear("x", 0.0, 1.0)
 def test_a_stored_study_says_what_differs_in_another_space(tmp_path):
     grid, study = mbtl.ContextSpace.grid, new(tmp_path)
     for other, words in (
-        (grid({mbtl.Linear("y", 0.0, 1.0, "m"): N}), r"space\.axes\.0\.name was 'x', got 'y'"),
-        (grid({mbtl.Linear("x", 0.0, 2.0): N}), r"space\.axes\.0\.high was 1\.0, got 2\.0"),
-        (grid({mbtl.Log("x", 0.1, 1.0): N}), r"axes\.0\.kind was 'linear', got 'log'"),
-        (grid({X: np.linspace(0, 1, N) ** 2}), r"grid\.0 was \[0\.0, 0\.05\d*.*got \[0\.0, 0\.002"),
-        (grid({X: N}, weights=np.arange(1, N + 1)), r"weights was None, got \[0\.0047"),
-        (mbtl.ContextSpace.points([X], study.space.contexts), r"space\.points was None, got \[\["),
+        (grid({mbtl.Linear("y", 0.0, 1.0, "m"): N}), r"the space was \['x'\], got \['y \[m\]'\]"),
+        (grid({mbtl.Linear("x", 0.0, 2.0): N}), r"axis 'x', high was 1\.0, got 2\.0"),
+        (grid({mbtl.Log("x", 0.1, 1.0): N}), "axis 'x', kind was 'linear', got 'log'"),
+        (grid({X: N - 1}), "number of contexts was 20, got 19"),
+        (grid({X: np.linspace(0, 1, N) ** 2}), r"index 1 was {'x': 0\.05\d*}, got {'x': 0\.002"),
+        (grid({X: N}, weights=np.arange(1, N + 1)), r"of {'x': 0\.0} was 0\.05, got 0\.0047"),
+        (mbtl.ContextSpace.points([X], study.space.contexts), "was 'a grid', got 'a list'"),
     ):
         settings = {"storage": tmp_path / "study.db", "load_if_exists": True}
         with pytest.raises(StudyMismatch, match=words):

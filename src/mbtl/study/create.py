@@ -313,14 +313,13 @@ def _check_same(state: StudyState, given: StudySpec) -> None:
     was, now_record = (
         {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)
     )
-    difference = first_difference(was, now_record)
+    difference = stored.space.difference(given.space) or first_difference(was, now_record)
     if difference:
         key, old, new = difference
         how = " (`mbtl run --all` asks for no end before the budget)" if key == "stop_left" else ""
         raise StudyMismatch(
-            f"a stored study goes on only with the settings it was made with: {key} was "
-            f"{short(old)}, got {short(new)}{how}; repeat the old setting, or begin anew with "
-            "--new (or another name)"
+            f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
+            f"got {new!r}{how}; repeat the old setting, or begin anew with --new (or another name)"
         )
 
 

@@ -9,7 +9,6 @@ from typing import Any, Protocol, runtime_checkable
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, Direction
-from mbtl.plain import short
 from mbtl.settings import first_difference
 from mbtl.study.spec import StudySpec
 from mbtl.trainers.contract import Trainer
@@ -95,11 +94,10 @@ def check_problem(spec: StudySpec, facts: ProblemFacts) -> None:
     names = [name for name in ("version", "switches") if name in spec.settings]
     stored = {"problem": spec.problem, **{name: spec.settings[name] for name in names}}
     given = {"problem": facts.id, **{name: facts.settings.get(name) for name in names}}
-    spaces = {"space": spec.space.to_json()}, {"space": facts.space.to_json()}
-    difference = first_difference(*spaces) or first_difference(stored, given)
+    difference = spec.space.difference(facts.space) or first_difference(stored, given)
     if difference is not None:
         name, was, now = difference
         raise StudyMismatch(
-            f"a study is opened with the problem it was made for: {name} was {short(was)}, "
-            f"got {short(now)}; give that problem, or leave it out"
+            f"a study is opened with the problem it was made for: {name} was {was!r}, got {now!r}; "
+            "give that problem, or leave it out"
         )
