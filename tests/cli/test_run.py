@@ -208,7 +208,10 @@ def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, own, tmp_path, arg
     [
         ("here/study.db", "takes the folder of a study, got the file here/study.db; give here"),
         ("new/study.db", "give new"),
+        ("n" * 256, "up to 255 bytes and no zeros, got 256"),
         ("n" * 230, "1 to 200 printable letters, got 230"),
+        (f"x/{'n' * 256}/y", "got 256"),
+        ("caf\udce9", "written in UTF-8, got 'caf\\udce9'"),
     ],
 )
 def test_a_folder_that_cannot_be_is_one_sentence(mbtl_command, own, tmp_path, study, words):

@@ -124,9 +124,9 @@ def test_an_event_is_appended_once_where_its_commit_was_not_heard_of(server, nam
         log.append(Event("created", {"by": "another"}), after=0)
 
 
-def test_a_database_that_was_not_made_is_said_to_be_missing(postgres):
+def test_a_database_that_was_not_made_says_how_to_make_it(postgres):
     address = sqlalchemy.make_url(postgres).set(database="not_made")
-    with pytest.raises(StorageError, match=r"not_made.* does not exist"):
+    with pytest.raises(StorageError, match=r"no database .*not_made.* `createdb NAME`"):
         mbtl.study.list_studies(address.render_as_string(hide_password=False))
 
 

@@ -35,7 +35,7 @@ def test_what_is_no_database_of_ours_is_named(tmp_path):
         (tmp_path / "prose", "corrupt or not a study database"),
         (tmp_path / "garbage", "corrupt or not a study database"),
         (tmp_path / "other", "without mbtl studies"),
-        (tmp_path, "there is none at"),
+        (tmp_path, r"is a folder; give .*study\.db"),
         ("nosuchdb://x", "a URL such as postgresql"),
         ("psql://me:secret@host/x", "a URL such as postgresql"),
         ("mysql+nothing://me:secret@host/x", "a URL such as postgresql"),
@@ -70,7 +70,11 @@ def test_a_full_disk_loses_nothing_that_was_told(tmp_path):
         ({"name": "n" * 256}, "1 to 200 printable letters, got 256"),
         ({"name": ""}, "got 0"),
         ({"name": "a\x1b[31mb"}, "printable"),
+        ({"storage": "n" * 256}, "got 256"),
         ({"storage": ":memory:"}, "leave it out"),
+        ({"storage": "caf\udce9/s.db"}, "written in UTF-8"),
+        ({"artifacts": "caf\udce9"}, "written in UTF-8"),
+        ({"artifacts": "n" * 300}, "got 300"),
     ],
 )
 def test_names_and_paths_that_cannot_be_are_refused_before_anything_is_made(
@@ -80,6 +84,21 @@ def test_names_and_paths_that_cannot_be_are_refused_before_anything_is_made(
     with pytest.raises(InvalidInput, match=words):
         created(SPACE, budget=2, **{"storage": "s.db", **settings})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clock_that_shows_no_date_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
+    pick = study.ask()
+    before = len(study.log.read())
+    for wrong in (-86400.0, 1e12):
+        monkeypatch.setattr("mbtl.study.database.time.time", lambda: wrong)  # noqa: B023
+        with pytest.raises(StorageError, match=r"the clock of this machine says .*set it"):
+            study.tell(pick, np.zeros(5))
+        with pytest.raises(StorageError, match="the clock of this machine"):
+            mbtl.create_study(SPACE, budget=2, storage=tmp_path / "new.db")
+        monkeypatch.undo()
+    assert len(mbtl.load_study(tmp_path / "s.db").log.read()) == before
+    study.tell(pick, np.zeros(5))
 
 
 def study_at(folder, name, **settings):
@@ -109,6 +128,13 @@ def test_a_driver_that_is_missing_is_named_with_its_fix(monkeypatch):
     with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[cluster\]'") as caught:
         mbtl.load_study("postgresql+psycopg://me:secret@host/x")
     assert "secret" not in str(caught.value)
+
+
+def test_a_folder_without_a_database_names_the_studies_below(tmp_path):
+    (tmp_path / "a").mkdir()
+    study_at(tmp_path / "a", "one")
+    with pytest.raises(mbtl.StorageError, match=r"one of those below: .*/a$"):
+        mbtl.load_study(tmp_path)
 
 
 def test_a_study_is_deleted_with_its_policies_unless_somebody_runs_it(tmp_path):

@@ -142,6 +142,7 @@ def main() -> None:
     except BrokenPipeError:  # the reader of a pipe has had enough
         sys.exit(1)
     except OSError as error:
-        named = error.filename or "standard output"
-        console.say(f"error: {cannot_write(named, error)}", "red")
+        if error.filename is not None:
+            raise
+        console.print(f"error: {cannot_write('standard output', error)}", style="red")
         sys.exit(1)

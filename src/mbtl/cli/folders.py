@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mbtl.cli.common import console
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.study.database import check_name
+from mbtl.study.database import check_name, check_path
 from mbtl.study.storage import study_names
 
 DATABASE = "study.db"
@@ -37,6 +37,7 @@ def study_in(folder: Path) -> str:
 
 def _check_place(folder: Path) -> None:
     """Refuse what can be no folder of a study, before it is looked at."""
+    check_path(folder)
     check_name(folder.resolve().name)
     if folder.name == DATABASE or folder.is_file():
         raise InvalidInput(

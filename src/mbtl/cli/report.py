@@ -16,6 +16,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provider import laboratory
 from mbtl.report import Subject, of_study, write_page
 from mbtl.study import Study
+from mbtl.study.database import check_path
 
 
 def report(
@@ -66,9 +67,11 @@ def _open(
     given: str, names: Sequence[str | None], replayed: Callable[[str], Subject | None]
 ) -> Sequence[Study | Subject]:
     """What a matrix shows, or the studies of these names; None: the only one."""
+    path = Path(given)
+    check_path(path)
     if (found := replayed(given)) is not None:
         return [found]
-    if "://" in given or Path(given).exists():
+    if "://" in given or path.exists():
         return [open_study(given, name) for name in names]
     raise unknown_name(
         "study or matrix", given, laboratory().subjects(),

@@ -24,7 +24,7 @@ from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.files import from_home, inside, read_json, regular_files, sync_entries, sync_folder
-from mbtl.study.database import database_file
+from mbtl.study.database import check_path, database_file
 
 RECEIPT = "trained.json"
 
@@ -251,6 +251,7 @@ def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactS
     text = str(artifacts)
     if not text:
         raise InvalidInput("artifacts must be a folder or a URL, got an empty text")
+    check_path(text)
     if "://" not in text:
         return FolderStore(from_home(text).absolute())
     parts = urlsplit(text)

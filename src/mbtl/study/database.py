@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import unquote
 
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable, few
 from mbtl.files import from_home
 from mbtl.plain import short
 
@@ -35,11 +35,34 @@ _FILES = ("sqlite", "duckdb")
 _FOR_GOOD = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf")
 """What a server says that will say the same in a minute."""
 
-_LONGEST_NAME = 200
-"""Letters of a study's name, as its column has them."""
+LATEST = 2e11
+"""Seconds since the epoch that are still a date."""
+
+_LONGEST_NAME, _LONGEST_PART = 200, 255
+"""Letters of a study's name, as its column has them, and bytes of a name in a path."""
 
 WRITES = "mbtl_writes"
 """Option of a connection that writes: a reader takes no lock, so a study may be read-only."""
+
+
+def check_path(path: str | Path) -> None:
+    """Refuse what can be no path of a study, or no URL.
+
+    Raises:
+        InvalidInput: it is not written in UTF-8, or a name in it is too long.
+    """
+    text = str(path)
+    try:
+        longest = max(len(part) for part in text.encode("utf-8").split(b"/"))
+    except UnicodeEncodeError:
+        raise InvalidInput(
+            f"the path of a study is written in UTF-8, got {text!r}; choose another, or rename it"
+        ) from None
+    if "\0" in text or (longest > _LONGEST_PART and "://" not in text):
+        raise InvalidInput(
+            f"each name in a path has up to {_LONGEST_PART} bytes and no zeros, got {longest} in "
+            f"{short(text)}; choose a shorter one"
+        )
 
 
 def check_name(name: str) -> None:
@@ -66,6 +89,7 @@ def as_url(url: str | Path) -> str:
     import sqlalchemy as sa
 
     text = str(url)
+    check_path(text)
     if "://" in text:
         return text
     if text in ("", ":memory:"):
@@ -115,7 +139,11 @@ def shown(url: str) -> str:
 
 
 def clock(engine: sa.Engine) -> Any:
-    """The time: an expression for a server; of a file, a number."""
+    """The time: an expression for a server, whose answer `check_date` is for; of a file, a number.
+
+    Raises:
+        StorageError: this machine's clock shows no date.
+    """
     import sqlalchemy as sa
 
     name = engine.dialect.name
@@ -123,7 +151,21 @@ def clock(engine: sa.Engine) -> Any:
         return sa.extract("epoch", sa.func.clock_timestamp()).cast(sa.Float(53))
     if name in ("mysql", "mariadb"):
         return sa.func.unix_timestamp(sa.func.now(6)).cast(sa.Float(53))
-    return sa.literal(time.time(), sa.Float(53))
+    return sa.literal(check_date(time.time(), "this machine"), sa.Float(53))
+
+
+def check_date(now: float, whose: str) -> float:
+    """The time by a clock, if it is a date.
+
+    Raises:
+        StorageError: it is none.
+    """
+    if 0.0 <= now < LATEST:
+        return now
+    raise StorageError(
+        f"a study notes when things happen, and the clock of {whose} says {now:.0f} s after the "
+        "beginning of 1970; set it, then run again"
+    )
 
 
 def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Table]:
@@ -135,12 +177,13 @@ def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Ta
     import sqlalchemy as sa
 
     path = database_file(url)
+    if path is not None and path.is_dir():
+        raise StorageError(
+            f"a study lives in a database file, and {path} is a folder; give {path / 'study.db'}"
+        )
     if path is not None and not path.is_file():
         if not create:
-            raise StorageError(
-                f"a study lives in a database file, and there is none at {path}; `mbtl study list "
-                "FOLDER` shows the studies below a folder"
-            )
+            raise _no_file(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -220,6 +263,10 @@ def database_errors(url: str) -> Iterator[None]:
 
     try:
         yield
+    except UnicodeDecodeError as error:  # SQLite gives its names as they are in the file
+        raise StorageError(
+            f"{shown(url)} is corrupt ({error}); restore a copy, or start a new study elsewhere"
+        ) from error
     except sa.exc.DBAPIError as error:
         cause, url = " ".join(str(error.orig).split()), shown(url)
         if _is_away(error, url):
@@ -232,10 +279,29 @@ def database_errors(url: str) -> Iterator[None]:
                 f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
                 "new study elsewhere"
             ) from error
+        if "does not exist" in cause and "database" in cause:
+            raise StorageError(
+                f"the server has no database for {url} ({cause}); make it once, for PostgreSQL "
+                "with `createdb NAME`, and run the same command again"
+            ) from error
         raise StorageError(
             f"the study at {url} could not be read or written ({cause}); what was told before is "
             "kept: free space or mend access, then run the same command again"
         ) from error
+
+
+def _no_file(path: Path) -> StorageError:
+    """There is no such database; studies of the folders below may be meant."""
+    with suppress(ValueError):  # as people near it say it
+        path = path.relative_to(Path.cwd())
+    said = f"a study lives in a database file, and there is none at {path}"
+    folder = path.parent if path.name == "study.db" else path
+    below = [
+        str(f.parent) for f in sorted([*folder.glob("*/study.db"), *folder.glob("*/*/study.db")])
+    ]
+    if not below:
+        return StorageError(f"{said}; `mbtl study list FOLDER` shows the studies below a folder")
+    return StorageError(f"{said}; give one of those below: {few(below)}")
 
 
 def _is_away(error: sa.exc.DBAPIError, url: str) -> bool:

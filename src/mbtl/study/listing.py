@@ -14,6 +14,7 @@ from mbtl.study.closing_report import value_of
 from mbtl.study.database import (
     WRITES,
     as_url,
+    check_path,
     database_errors,
     database_file,
     fixed_url,
@@ -125,6 +126,7 @@ def delete_study(
 def database_at(storage: str | Path) -> str:
     """The URL of a database; of a folder that holds `study.db`, of that."""
     place = storage
+    check_path(place)
     if "://" not in str(storage) and from_home(storage).is_dir():
         place = from_home(storage) / "study.db"
     return fixed_url(place)

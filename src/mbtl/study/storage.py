@@ -26,9 +26,11 @@ from mbtl.arrays import python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
 from mbtl.files import read_arrays, read_json
 from mbtl.study.database import (
+    LATEST,
     WRITES,
     Patience,
     as_url,
+    check_date,
     check_name,
     clock,
     database_errors,
@@ -123,7 +125,8 @@ class SqlLog:
         values = [row["time"] if c is t.c.time else sa.literal(row[c.name], c.type) for c in t.c]
         names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
-        is_last = sa.select(*values).where(self._last() == after)
+        dated = row["time"].between(0.0, LATEST)
+        is_last = sa.select(*values).where((self._last() == after) & dated)
         statement = sa.insert(t).from_select(names, is_last, include_defaults=False)
         statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
@@ -131,6 +134,7 @@ class SqlLog:
         def write(connection: sa.Connection) -> None:
             try:
                 if connection.execute(statement).rowcount != 1:
+                    self._now(connection)
                     raise taken
             except sa.exc.IntegrityError as error:  # the primary key: another process was faster
                 raise taken from error
@@ -173,10 +177,7 @@ class SqlLog:
 
     def now(self) -> float:
         """The server's clock; of a file, this machine's."""
-        import sqlalchemy as sa
-
-        query = sa.select(clock(self._engine))
-        return self._do(lambda connection: float(connection.execute(query).scalar_one()))
+        return self._do(self._now)
 
     def beat(self, token: str, seconds: float) -> None:
         """Write the row of this lease; see `MemoryLog`."""
@@ -202,6 +203,12 @@ class SqlLog:
         return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
     # ---- inside ------------------------------------------------------------------------------
+
+    def _now(self, connection: sa.Connection) -> float:
+        import sqlalchemy as sa
+
+        now = float(connection.execute(sa.select(clock(self._engine))).scalar_one())
+        return check_date(now, "the server")
 
     def _last(self) -> Any:
         """Number of the last event, as a part of a statement."""
@@ -291,7 +298,9 @@ def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes, checksum
         facts = read_json(data)
         if not isinstance(facts, dict):
             raise ValueError(f"facts as a JSON {type(facts).__name__}")
-        packed, when = read_arrays(io.BytesIO(arrays)) if arrays else {}, float(when)
+        if not 0 <= when < LATEST:
+            raise ValueError(f"the time {when!r}")
+        packed = read_arrays(io.BytesIO(arrays)) if arrays else {}
     except (TypeError, ValueError) as error:
         raise StorageError(
             f"event {seq} ({kind}) of the study is damaged or not ours: {error}; restore a copy of "
