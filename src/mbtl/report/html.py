@@ -31,11 +31,13 @@ _SCORE = (
     "keys move the slider."
 )
 _UNITS = "A unit is one whole training."
-_FRESH = "Performance is of fresh episodes, the runner-up's of the episodes that chose."
+_FRESH = "Performance is of fresh episodes{}; the runner-up's is of the episodes that chose."
+_SOME = " where they were played, else as it is believed"
 _WORDS = (
-    "Context: one setting of the simulator. V: mean performance over the contexts, each served by "
-    "its best policy. Performance: the score as a share of the scale, and more than 1 beyond it. "
-    "Specialist: a policy that was trained on one context."
+    "Context: one setting of the simulator. V: mean performance over the contexts, or over the "
+    "worst share of them that was asked for, each served by its best policy. Performance: the "
+    "score as a share of the scale, and more than 1 beyond it. Specialist: a policy that was "
+    "trained on one context."
 )
 
 
@@ -105,7 +107,7 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     """All of one subject, of which only the first is shown at once."""
     told, space = len(subject.history), subject.space
     other = told and subject.units[-1] != told
-    units = f" of {subject.units[-1]:g} units" if other else ""
+    units = f", {subject.units[-1]:g} units" if other else ""
     facts = f"{subject.selector}, {told} trainings{units}, {space.n} contexts"
     if subject.kind == "study":
         facts += ", finished" if subject.finished else ", under way"
@@ -124,7 +126,9 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
             _section("curve", "V after each training", f"V is of {subject.values_of}. {_UNITS}"),
             _picks(subject),
             _section(
-                "policies", "Which policy serves which context", _FRESH if subject.fresh else ""
+                "policies",
+                "Which policy serves which context",
+                _FRESH.format("" if subject.all_fresh else _SOME) if subject.fresh else "",
             ),
             _badly_served(subject),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
@@ -180,7 +184,7 @@ def _badly_served(subject: Subject) -> str:
             f"policy {routing.route[i] + 1}, trained on "
             + subject.picks[int(routing.route[i])].trained_on(space),
             _number(float(served[i])),
-            *(f"{values[i]:.4g}" for values in scores.values()),
+            *("–" if values[i] != values[i] else f"{values[i]:.4g}" for values in scores.values()),
         ]
         for i in np.argsort(served, kind="stable")[:_WORST]
     ]
@@ -195,7 +199,7 @@ def _picks(subject: Subject) -> str:
         told = k < len(values)
         rows.append(
             [
-                str(k + 1),
+                str(k + 1) if told else "–",
                 pick.trained_on(subject.space),
                 _number(values[k] if told else None),
                 _number(values[k] - values[k - 1] if told and k else None),
@@ -221,8 +225,9 @@ def _costs(subject: Subject) -> str:
             f"{len(seconds)} trainings with their evaluations took {sum(seconds) / 60:.1f} "
             f"minutes, the longest {max(seconds) / 60:.1f}."
         )
-    units = float(subject.units[-1]) if len(subject.units) else 0.0
-    if costs and abs(sum(costs) - units) > 1e-9:  # where nobody counts costs, they are the units
+    own = zip(subject.picks, np.diff(subject.units, prepend=0.0), strict=False)
+    # where nobody counts costs, they are the units
+    if any(pick.cost is not None and abs(pick.cost - units) > 1e-9 for pick, units in own):
         lines.append(f"The trainings cost {sum(costs):g} in the unit of the study.")
     count = f"{len(failed)} training{'s' * (len(failed) != 1)} failed."
     lines.append(count if failed else "No training failed." if subject.kind == "study" else "")

@@ -23,6 +23,9 @@ from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import Study, Training
 
+_MORE = 5
+"""Units that a finished study is offered."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -52,6 +55,7 @@ class Subject:
         served: (N,) performance of the serving policies, as the sentences have it.
         beside_served: name -> (N,) performance of what needs no training, on fresh episodes.
         fresh: V on fresh episodes, and half its 95 % interval; None where not measured.
+        all_fresh: whether they were played on all contexts.
         next_steps: what to do now and its command, in that order.
         columns: what the table of contexts shows beside performance, (N,) by head.
     """
@@ -79,6 +83,7 @@ class Subject:
     served: Array | None = None
     beside_served: Mapping[str, Array] = field(default_factory=dict)
     fresh: tuple[float, float | None] | None = None
+    all_fresh: bool = False
     next_steps: tuple[tuple[str, str], ...] = ()
     columns: Mapping[str, Array] = field(default_factory=dict)
 
@@ -126,7 +131,7 @@ def of_study(study: Study) -> Subject:
         ),
         provenance=made,
         finished=study.is_finished,
-        headline=_headline(summary),
+        headline=_headline(summary, spec.risk),
         beside=beside_table(summary),
         served=np.array(summary.served) if known else None,
         beside_served={
@@ -134,6 +139,7 @@ def of_study(study: Study) -> Subject:
             for who, returns in ({} if state.fresh is None else state.fresh.baselines).items()
         },
         fresh=None if summary.fresh_value is None else (summary.fresh_value, summary.fresh_margin),
+        all_fresh=summary.fresh_contexts == space.n,
         next_steps=_next_steps(study, summary),
         columns=_columns(study, summary),
     )
@@ -156,17 +162,20 @@ def _columns(study: Study, summary: StudySummary) -> dict[str, Array]:
     }
 
 
-def _headline(summary: StudySummary) -> tuple[str, ...]:
+def _headline(summary: StudySummary, risk: float) -> tuple[str, ...]:
     """V with its interval, the mean return that it is, and what it is measured on."""
     fresh = summary.fresh_value is not None
     v = summary.fresh_value if fresh else summary.value
     if v is None:
         return ()
     margin = summary.fresh_margin if fresh else summary.value_margin
-    bar = f" +- {margin:.3f}" if margin else ""
-    how = f"measured on {fresh_episodes(summary)}" if fresh else "estimated while it runs"
+    bar = f" +- {margin:.3f}" if margin and margin >= 5e-4 else ""
+    how = "estimated from the episodes that chose"
+    if fresh:
+        how = f"measured on {fresh_episodes(summary)}"
     how += "; +- is half a 95 % interval" if bar else ""
-    return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over the contexts", how
+    which = "the contexts" if risk == 1.0 else f"the worst {risk:.0%} of the contexts"
+    return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over {which}", how
 
 
 def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], ...]:
@@ -186,9 +195,12 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         steps.append(("Serve a context", call))
     if not study.is_finished:
         steps.insert(0, ("Go on, if nothing is running", "repeat the command that began it"))
-    elif "budget" in (summary.finished or "") and summary.steps is None:
-        total = f"{summary.budget + 5:g}"
-        how = f"Train 5 more units, {total} in all: the command that began it, with"
-        steps.append((how, f"--budget {total}"))
+    elif summary.finished == f"the budget of {summary.budget} trainings is spent":
+        total = summary.budget + _MORE
+        if not study.problem.abilities:  # then each context can be trained on once
+            total = min(total, len(study.problem.sources))
+        if total > summary.budget:
+            more = f"Train {total - summary.budget} more units, {total} in all"
+            steps.append((f"{more}: the command that began it, with", f"--budget {total}"))
     steps.append(("See every pick, and what failed", f"mbtl study show {folder}"))
     return tuple(steps)
