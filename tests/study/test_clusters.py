@@ -24,7 +24,8 @@ PROGRAM = "from mbtl.cli import program; program()"
 @pytest.fixture(autouse=True)
 def importable(monkeypatch):
     """What is here, by processes that others start."""
-    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    own = Path(__file__).parent
+    folders = [str(own), str(own.parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
 
 
