@@ -95,11 +95,12 @@ def pinned(cfg: _Config, context: Mapping[str, Value]) -> _Config:
     """
     ranges = _ranges(cfg)
     made = copy.deepcopy(cfg, {id(dataclasses.MISSING): dataclasses.MISSING})  # known by identity
+    terms = _terms(made)
     for name, value in context.items():
         if name not in ranges:
             raise unknown_name("range of this config", name, ranges)
         ranges[name].axis.encode([value])  # raises where it lies outside
-        ranges[name].pin(_terms(made)[ranges[name].term], float(value))
+        ranges[name].pin(terms[ranges[name].term], float(value))
     return made
 
 

@@ -43,7 +43,7 @@ def content(subject: Subject) -> dict[str, Any]:
     if subject.measured is not None and subject.sources is not None:
         found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}
     if (routing := subject.routing) is not None:
-        found |= {"served": served_by(routing, subject.served), "steps": _steps(subject)}
+        found |= {"served": served_by(routing, subject.performance), "steps": _steps(subject)}
     return found
 
 
@@ -77,8 +77,8 @@ def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
     return out
 
 
-def served_by(routing: Routing, performance: Array | None) -> dict[str, Any]:
-    """Who serves each context, how well if not as is believed, and who would if not."""
+def served_by(routing: Routing, performance: Array) -> dict[str, Any]:
+    """Who serves each context, how well, and who would if not."""
     believed, route, steps = routing.believed, routing.route, routing.space.steps
     sources, every = np.asarray(routing.sources), np.arange(routing.space.n)
     second = np.full(len(every), -1)
@@ -90,7 +90,7 @@ def served_by(routing: Routing, performance: Array | None) -> dict[str, Any]:
     return {
         "policy": route,
         "colours": distinct(len(sources)),
-        "performance": believed[route, every] if performance is None else performance,
+        "performance": performance,
         "runnerUp": second,
         "runnerUpPerformance": np.where(second >= 0, believed[second, every], np.nan),
     }

@@ -11,7 +11,6 @@ import json
 import re
 from collections.abc import Sequence
 from importlib import resources
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -176,19 +175,18 @@ def _badly_served(subject: Subject) -> str:
     routing, space = subject.routing, subject.space
     if routing is None or space.n <= _WORST:
         return ""
-    served = routing.served if subject.served is None else subject.served
-    scores = dict(islice(subject.columns.items(), 1))
+    served, score = subject.performance, [*subject.columns.items()][:1]
     rows = [
         [
             space.describe(space.context(int(i))),
             f"policy {routing.route[i] + 1}, trained on "
             + subject.picks[int(routing.route[i])].trained_on(space),
             _number(float(served[i])),
-            *("–" if values[i] != values[i] else f"{values[i]:.4g}" for values in scores.values()),
+            *("–" if values[i] != values[i] else f"{values[i]:.4g}" for _, values in score),
         ]
         for i in np.argsort(served, kind="stable")[:_WORST]
     ]
-    table = _table(["context", "served by", "performance", *scores], rows)
+    table = _table(["context", "served by", "performance", *(head for head, _ in score)], rows)
     return f"<section><h2>Served worst</h2>{table}</section>"
 
 

@@ -17,11 +17,12 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.report.reference import REFERENCE_NAMES, reference_curves
-from mbtl.report.summary import StudySummary, summarise_study
+from mbtl.report.summary import StudySummary, performance_beside, summarise_study
 from mbtl.report.text import beside_table, conclusions, fresh_episodes, paid, scale
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import Study, Training
+from mbtl.study.ask import spent
 
 _MORE = 5
 """Units that a finished study is offered."""
@@ -57,7 +58,7 @@ class Subject:
         fresh: V on fresh episodes, and half its 95 % interval; None where not measured.
         all_fresh: whether they were played on all contexts.
         next_steps: what to do now and its command, in that order.
-        columns: what the table of contexts shows beside performance, (N,) by head.
+        columns: what the table of contexts shows beside performance, (N,) by head; the score first.
     """
 
     kind: str
@@ -86,6 +87,12 @@ class Subject:
     all_fresh: bool = False
     next_steps: tuple[tuple[str, str], ...] = ()
     columns: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def performance(self) -> Array:
+        """(N,) of the serving policies: as the sentences have it, else as it is believed."""
+        assert self.routing is not None
+        return self.routing.served if self.served is None else self.served
 
 
 def of_study(study: Study) -> Subject:
@@ -135,8 +142,8 @@ def of_study(study: Study) -> Subject:
         beside=beside_table(summary),
         served=np.array(summary.served) if known else None,
         beside_served={
-            REFERENCE_NAMES.get(who, who): state.bounds().normalise(returns).mean(axis=1)
-            for who, returns in ({} if state.fresh is None else state.fresh.baselines).items()
+            REFERENCE_NAMES.get(who, who): row
+            for who, row in performance_beside(state.fresh, state.bounds()).items()
         },
         fresh=None if summary.fresh_value is None else (summary.fresh_value, summary.fresh_margin),
         all_fresh=summary.fresh_contexts == space.n,
@@ -195,7 +202,7 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         steps.append(("Serve a context", call))
     if not study.is_finished:
         steps.insert(0, ("Go on, if nothing is running", "repeat the command that began it"))
-    elif summary.finished == f"the budget of {summary.budget} trainings is spent":
+    elif summary.steps is None and summary.finished == spent(study.state):
         total = summary.budget + _MORE
         if not study.problem.abilities:  # then each context can be trained on once
             total = min(total, len(study.problem.sources))

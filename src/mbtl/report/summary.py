@@ -263,11 +263,17 @@ def _score_of(study: Study) -> tuple[str, str]:
     return str(record.get("name", "return")), str(record.get("unit", ""))
 
 
+def performance_beside(fresh: FreshReturns | None, bounds: Bounds) -> dict[str, Array]:
+    """(N,) of each baseline on the fresh episodes, by name; NaN where none was played."""
+    played = {} if fresh is None else fresh.baselines
+    return {name: bounds.normalise(returns).mean(axis=1) for name, returns in played.items()}
+
+
 def _behind(fresh: FreshReturns | None, bounds: Bounds) -> tuple[tuple[int, str], ...]:
     if fresh is None or not fresh.baselines:
         return ()
-    names = list(fresh.baselines)
-    rows = np.array([bounds.normalise(r).mean(axis=1) for r in fresh.baselines.values()])
+    beside = performance_beside(fresh, bounds)
+    names, rows = list(beside), np.array([*beside.values()])
     lead = bounds.normalise(fresh.served).mean(axis=1) - rows.max(axis=0)
     worst_first = np.argsort(lead, kind="stable")  # those that were not played are last
     return tuple((int(i), names[int(rows[:, i].argmax())]) for i in worst_first if lead[i] < 0.0)

@@ -57,10 +57,10 @@ def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> 
 
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
-    first, *rest = conclusions(summary, space)
-    if summary.worth_it:
-        return [first, *scale(summary), *estimate(summary), *rest, *beside(summary), *paid(summary)]
-    return [*scale(summary), *estimate(summary), first, *rest, *beside(summary), *paid(summary)]
+    concluded = conclusions(summary, space)
+    first = int(bool(summary.worth_it))
+    known = [*scale(summary), *estimate(summary)]
+    return [*concluded[:first], *known, *concluded[first:], *beside(summary), *paid(summary)]
 
 
 def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:

@@ -71,8 +71,8 @@ def stop_reason(state: StudyState) -> str | None:
     reason = _early_stop(state) or state.stopped
     if reason is not None:
         return reason
-    if (spent := _spent(state)) is not None:
-        return spent
+    if (reason := spent(state)) is not None:
+        return reason
     if state.spec.any_training:  # there is always something that may be trained for longer
         return None
     try:
@@ -82,7 +82,7 @@ def stop_reason(state: StudyState) -> str | None:
     return None
 
 
-def _spent(state: StudyState) -> str | None:
+def spent(state: StudyState) -> str | None:
     """That no training can be paid any more; None: one can be."""
     spec = state.spec
     if spec.steps is None:

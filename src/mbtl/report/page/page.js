@@ -57,7 +57,8 @@
   const describe = (item, i) => item.axes.map((axis) => `${axis.name} = ${named(axis, axis.values[i])}`).join(", ");
   const home = (item, p) => "trained on " + item.trained[p];
   /* Policies with a place of their own: one that was trained on several contexts has none. */
-  const placed = (item, last = item.sources.length) => item.sources.map((_, p) => p).slice(0, last).filter((p) => item.kinds[p] !== "several");
+  const hasPlace = (item, p) => p !== undefined && item.kinds[p] !== "several";
+  const placed = (item, last = item.sources.length) => item.sources.map((_, p) => p).slice(0, last).filter((p) => hasPlace(item, p));
   const SYMBOLS = { several: "square", specialist: "circle", tuned: "diamond" };
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
@@ -304,7 +305,7 @@
         { x: homes, y: taken.map((p) => item.rows[p][item.sources[p]]), mode: "markers+text", name: "trained here", text: taken.map((p) => p + 1), textposition: sides(homes), cliponaxis: false, marker: { color: css("--ink"), size: 8 } },
         { x, y: gain, mode: "lines", name: "score", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>score</extra>" },
       ];
-      if (placed(item, j + 2).includes(coming)) {
+      if (hasPlace(item, coming)) {
         const where = item.sources[coming];
         traces.push({ x: [axis.values[where]], y: [gain[order.indexOf(where)] || 0], mode: "markers", yaxis: "y2", name: "next pick", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
       }
@@ -317,7 +318,7 @@
     heat(i, box) {
       const item = state.items[i], axis = item.axes[0], at = axis.values, across = sorted(at), whole = item.matrix;
       const x = edges(across.map((c) => at[c]), axis), homes = placed(item).map((p) => [p, at[item.sources[p]]]);
-      let y, z, marks; // a few cells must not take the whole scale
+      let y, z, marks;
       if (whole) {
         const down = sorted(Array.from(whole.sources, (s) => at[s]));
         y = edges(down.map((r) => at[whole.sources[r]]), axis);
@@ -328,9 +329,10 @@
         z = item.rows.map((row) => across.map((c) => row[c]));
         marks = homes.map(([p, place]) => [place, p + 1, p]);
       }
+      const [zmin, zmax] = inner(z.flat()); // a few cells must not take the whole scale
       const side = (text) => axisOf(axis, { title: { text: `${text}: ${axis.label}` } });
       return draw(box, [
-        { type: "heatmap", x, y, z, zmin: within(z.flat(), 0.01), zmax: within(z.flat(), 0.99), colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
+        { type: "heatmap", x, y, z, zmin, zmax, colorscale: SCALE, colorbar: { title: { text: "performance", side: "right" } }, hovertemplate: "source %{y}, target %{x}<br>performance %{z:.4f}<extra></extra>" },
         {
           type: "scatter", mode: "markers+text", x: marks.map((m) => m[0]), y: marks.map((m) => m[1]), text: marks.map((m) => m[2] + 1), textfont: { color: "#000", size: 9 },
           hovertext: marks.map((m) => item.trained[m[2]]), hoverinfo: "text", marker: { size: 15, color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
@@ -357,10 +359,10 @@
   };
 
   const sorted = (values) => Array.from(values, (_, i) => i).sort((a, b) => values[a] - values[b]);
-  /* Value below which a share of them is. */
-  function within(values, share) {
+  /* Between which all but a hundredth at each end are. */
+  function inner(values) {
     const known = values.filter(Number.isFinite).sort((a, b) => a - b);
-    return known[Math.round(share * (known.length - 1))];
+    return [0.01, 0.99].map((share) => known[Math.round(share * (known.length - 1))]);
   }
   function range(rows) {
     let low = Infinity, high = -Infinity;

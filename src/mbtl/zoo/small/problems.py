@@ -187,8 +187,8 @@ def groups() -> Iterator[tuple[int, list[CMDP]]]:
     for name, (visible, length, by) in product(KINDS, _SETTINGS):
         one: list[tuple[str, ...]] = [(axis,) for axis in KINDS[name].axes]
         two: list[tuple[str, ...]] = list(KINDS[name].pairs) if length == "long" else []
-        # what a policy sees decides about its network, so about what can be trained together
         three = [KINDS[name].triple]
+        # what a policy sees decides about its network, so about what can be trained together
         for some in (one, two, three) if visible else (one + two, three):
             group = [problem(name, axes, visible, length, by) for axes in some]
             if group:
