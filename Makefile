@@ -41,9 +41,9 @@ format: .venv/dev.stamp
 	$(BIN)/ruff check --fix src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
 	$(BIN)/ruff format src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
 
-# the site, in build/site; a warning is an error
+# the site, in build/site; a warning is an error, also of a page that did not change
 docs: .venv/docs.stamp
-	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site
+	$(BIN)/sphinx-build -E -W --keep-going -q -b html docs build/site
 
 bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/import_time.py

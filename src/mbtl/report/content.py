@@ -43,7 +43,7 @@ def content(subject: Subject) -> dict[str, Any]:
     if subject.measured is not None and subject.sources is not None:
         found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}
     if (routing := subject.routing) is not None:
-        found |= {"served": served_by(routing, subject.performance), "steps": _steps(subject)}
+        found |= {"served": served_by(routing, subject.shown), "steps": _steps(subject)}
     return found
 
 

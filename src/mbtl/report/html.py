@@ -175,7 +175,7 @@ def _badly_served(subject: Subject) -> str:
     routing, space = subject.routing, subject.space
     if routing is None or space.n <= _WORST:
         return ""
-    served, score = subject.performance, [*subject.columns.items()][:1]
+    served, score = subject.shown, [*subject.columns.items()][:1]
     rows = [
         [
             space.describe(space.context(int(i))),

@@ -89,8 +89,8 @@ class Subject:
     columns: Mapping[str, Array] = field(default_factory=dict)
 
     @property
-    def performance(self) -> Array:
-        """(N,) of the serving policies: as the sentences have it, else as it is believed."""
+    def shown(self) -> Array:
+        """(N,) performance of the serving policies: as the sentences have it, else as believed."""
         assert self.routing is not None
         return self.routing.served if self.served is None else self.served
 
