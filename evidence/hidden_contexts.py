@@ -1,6 +1,6 @@
 """What `portfolio.adaptive()` is worth where the context is not told.
 
-    OMP_NUM_THREADS=1 python evidence/hidden_contexts.py
+    OMP_NUM_THREADS=1 python evidence/hidden_contexts.py [--everybody]
 
 Portfolios of five specialists, as the paper's rule picks them, on the shipped matrices, the set in
 which policies do not see the context where there is one; one seed. In every fourth context ten
@@ -8,9 +8,17 @@ episodes are drawn three times, normal with the mean of the reporting half and t
 policies are chosen by the other half. Shares are of the way from the best single policy (0) to
 routing with the context told (1), by the mean returns of the policies that are played; without
 exploration, the policy of largest expected return is played.
+
+`--everybody`: on the small problems in which policies do not see the context, at the price of five
+trainings: five specialists, or one policy for all and four specialists, beside one policy for all
+with four units. V by the mean returns of the policies that are played, and the lead over the last
+with its standard error over problems.
 """
 
 from __future__ import annotations
+
+import argparse
+from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +29,12 @@ from mbtl.zoo.benchmark import load_matrix
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.shipped import shipped_matrices
+from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings
+from mbtl.zoo.benchmark.transfers import load_transfers, transfer_ids
 
 EPISODES, DRAWS, EVERY, SPECIALISTS, SAME = 10, 3, 4, 5, 20
 SHOWN = (1, 2, 3, 5, 10)
+SMALL = Path(__file__).with_name("small")
 LITTLE = 0.005
 """Performance between the best single policy and the told context below which a share is noise."""
 
@@ -35,15 +46,20 @@ def portfolio_of(matrix: TransferMatrix) -> tuple[Portfolio, np.ndarray, np.ndar
     picks = list(run.history.sources)
     rows = np.searchsorted(matrix.trained, picks)
     returns, std = matrix.returns[0][rows], matrix.std[0][rows]
-    # episodes with the stored mean and deviation; as many as make the deviation well known
-    each = returns[..., None] + std[..., None] * np.tile([-1.0, 1.0], SAME)
-    served = Portfolio(matrix.space, tuple(picks), returns, matrix.bounds, list(each))
+    served = Portfolio(matrix.space, tuple(picks), returns, matrix.bounds, episodes(returns, std))
     return served, matrix.fresh_rows(0, picks), std
 
 
-def reached(served: Portfolio, truth: np.ndarray, std: np.ndarray, explore: bool) -> np.ndarray:
+def episodes(returns: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
+    """With the stored mean and deviation; as many as make the deviation well known."""
+    return list(returns[..., None] + std[..., None] * np.tile([-1.0, 1.0], SAME))
+
+
+def reached(
+    served: Portfolio, truth: np.ndarray, std: np.ndarray, explore: bool, every: int = EVERY
+) -> np.ndarray:
     """(EPISODES,) mean performance of the policies that are played."""
-    rng, contexts = np.random.default_rng(0), range(0, served.space.n, EVERY)
+    rng, contexts = np.random.default_rng(0), range(0, served.space.n, every)
     found = np.zeros(EPISODES)
     for x in contexts:
         for _ in range(DRAWS):
@@ -84,5 +100,42 @@ def main() -> None:
     print(f"mean over episodes: {np.mean(shares, axis=(0, 2)).round(3)}")
 
 
+def everybody() -> None:
+    found: list[list[float]] = []
+    for name in transfer_ids(SMALL):
+        if "-hidden-" not in name:
+            continue
+        data = load_transfers(name, folder=SMALL)
+        run = replay_trainings(get_selector("mbtl"), TransferWorld(data, 0), SPECIALISTS)
+        picks = np.array(run.history.sources)
+        rows = np.searchsorted(data.sources, picks)
+        long, short = data.generalists[4.0][0], data.generalists[1.0][0]
+        std = data.std["specialists"][0, rows]
+        first = data.std["generalists"][list(data.generalists).index(1.0), 0]
+        alone = data.specialists[0][:, rows]
+        mixed = np.concatenate([short[:, None], alone[:, :-1]], axis=1)
+        line = [float(data.bounds.normalise(long[1]).mean())]
+        for half, spread in ((alone, std), (mixed, np.concatenate([first[None], std[:-1]]))):
+            sources = tuple(picks) if half is alone else (data.n // 2, *picks[:-1])
+            served = Portfolio(data.space, sources, half[0], data.bounds, episodes(half[0], spread))
+            truth = data.bounds.normalise(half[1])
+            best = served.performance.mean(axis=1).argmax()
+            told = truth[served.performance.argmax(axis=0), np.arange(data.n)]
+            seen = reached(served, truth, spread, True, every=1)
+            line += [truth[best].mean(), *seen[[0, 2, 9]], told.mean()]
+        found.append(line)
+        print(name, np.round(line, 3), flush=True)
+    table = np.array(found)
+    heads = ("best single", "episode 1", "3", "10", "told")
+    print(f"{len(table)} problems; one policy for all, 4 units: {table[:, 0].mean():.3f}")
+    for start, who in ((1, "five specialists"), (6, "one for all, four specialists")):
+        for i, head in enumerate(heads, start):
+            lead = table[:, i] - table[:, 0]
+            error = lead.std(ddof=1) / len(lead) ** 0.5
+            print(f"{who}, {head}: {table[:, i].mean():.3f} ({lead.mean():+.3f} +- {error:.3f})")
+
+
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--everybody", action="store_true", help="beside one policy for all")
+    (everybody if parser.parse_args().everybody else main)()

@@ -49,6 +49,7 @@ def test_all_kinds_of_all_cmdps_and_seeds_are_there(built):
     assert transfer_ids(folder) == list(IDS)
     data = load_transfers("pendulum-mass", folder=folder)
     assert data.sources.tolist() == [0, 2]
+    assert data.contexts[:, 0].tolist() == data.space.values("mass")
     assert data.specialists.shape == (2, 2, 2, 4)
     assert {units: rows.shape for units, rows in data.generalists.items()} == dict.fromkeys(
         (0.5, 1.0, 2.0), (2, 2, 4)

@@ -276,6 +276,20 @@ _MEANT: Mapping[str, type] = {"problem": str, "recipe": dict, "nominal": dict, "
 """What entries of a provenance are, where they mean something here."""
 
 
+def context_values(space: ContextSpace) -> Array:
+    """(N, d) values of the contexts.
+
+    Raises:
+        InvalidInput: an axis is categorical and has no numbers.
+    """
+    for axis in space.axes:
+        if isinstance(axis, Categorical):
+            raise InvalidInput(
+                f"axis {axis.name!r} is categorical and has no numbers; use space.contexts"
+            )
+    return np.array([space.values(axis.name) for axis in space.axes], dtype=np.float64).T
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class TransferMatrix:
     """Every policy on every target, for one or more training seeds.
@@ -530,13 +544,7 @@ class TransferMatrix:
         Raises:
             InvalidInput: an axis is categorical and has no numbers.
         """
-        for axis in self.axes:
-            if isinstance(axis, Categorical):
-                raise InvalidInput(
-                    f"axis {axis.name!r} is categorical and has no numbers; use space.contexts"
-                )
-        columns = [self.space.values(axis.name) for axis in self.axes]
-        return np.array(columns, dtype=np.float64).T
+        return context_values(self.space)
 
     def problem(self, budget: int) -> SelectionProblem:
         """What a selector may know of it beforehand."""

@@ -26,7 +26,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.objective import Bounds, direction_named
-from mbtl.zoo.benchmark.matrix import REFERENCE, halves
+from mbtl.zoo.benchmark.matrix import REFERENCE, context_values, halves
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.shipped import data_folder, seed_files
 
@@ -74,6 +74,15 @@ class TransferData:
     def n(self) -> int:
         """Number of contexts."""
         return self.space.n
+
+    @property
+    def contexts(self) -> Array:
+        """(N, d) context values; `space.contexts` gives them as mappings.
+
+        Raises:
+            InvalidInput: an axis is categorical and has no numbers.
+        """
+        return context_values(self.space)
 
     @property
     def n_seeds(self) -> int:
