@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -129,13 +129,14 @@ def measured(
     params, shares = of_each_kind(world, params)
     own, actor = np.repeat(own, shares.shape[1], axis=0), actor._replace(critic=())
     shape = n_policies, shares.size * n_episodes
+    episodes = _Episodes(world, activation, how, actor, own, params)
     if isinstance(world, Solo):
-        parts = _blocks(world, activation, how, actor, own, params)
+        parts = _blocks(episodes)
     elif most or on_cpu():
         height = n_policies if most is None else min(n_policies, most // n_episodes)
-        parts = _context_by_context(world, activation, how, actor, own, params, height)
+        parts = _context_by_context(episodes, height)
     else:
-        parts, shape = _pairs(world, activation, how, actor, own, params), (-1, n_episodes)
+        parts, shape = _pairs(episodes), (-1, n_episodes)
     found: dict[str, Array] = {}
     for p, first, part in parts:
         for name, numbers in part.items():
@@ -147,23 +148,28 @@ def measured(
     return {name: merged(numbers, shares) for name, numbers in found.items()}
 
 
+class _Episodes(NamedTuple):
+    """What is played: by P policies in C contexts, with (C, E) seeds."""
+
+    world: World
+    activation: Activation
+    how: Acting
+    actor: Actor
+    seeds: NDArray[np.uint32]
+    params: Tree
+
+
 Part = tuple[int, int, dict[str, jax.Array]]
 """First row and column of a table, and what is measured from there on; beyond its end nonsense."""
 
 
-def _blocks(
-    world: Solo,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> Iterator[Part]:
+def _blocks(episodes: _Episodes) -> Iterator[Part]:
     """Of (P, C x E) episodes, so many of all contexts at a time.
 
     A block has a third of the episodes that it may have, so that few wait for the longest; a
     multiple of what a processor computes at once, so that no place in it is computed otherwise.
     """
+    world, activation, how, actor, seeds, params = episodes
     drawn, count, n_episodes = world.draws(seeds), seeds.size, seeds.shape[1]
     drawn, seeds = drawn.reshape(count, *drawn.shape[2:]), seeds.reshape(count)
     rows = CPU_ROWS if on_cpu() else DEVICE_ROWS
@@ -180,16 +186,9 @@ def _blocks(
             yield p, first, measures(world, activation, how, some, *played)
 
 
-def _context_by_context(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-    height: int,
-) -> Iterator[Part]:
+def _context_by_context(episodes: _Episodes, height: int) -> Iterator[Part]:
     """The same, so many policies at a time: all of a batch may decide something together."""
+    world, activation, how, actor, seeds, params = episodes
     n_policies, n_episodes = len(actor.log_std), seeds.shape[1]
     for p in range(0, n_policies, height):
         some = _take(actor, p, height, n_policies)
@@ -199,15 +198,9 @@ def _context_by_context(
             yield p, c * n_episodes, part
 
 
-def _pairs(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> Iterator[Part]:
+def _pairs(episodes: _Episodes) -> Iterator[Part]:
     """Of (P x C, E) episodes, many pairs of a policy and a context together."""
+    world, activation, how, actor, seeds, params = episodes
     who, where = np.indices((len(actor.log_std), len(seeds))).reshape(2, -1)
     step = min(len(who), max(1, DEVICE_CROWDS // seeds.shape[1]))
     for first in range(0, len(who), step):
