@@ -12,6 +12,9 @@ Last comes what beginning with everybody costs, where it gains nothing: V of K s
 order, less that of the policy for all and K - 1 of them. It is at most what one pick of such an
 order adds in the mean, (V_K - V_1) / (K - 1), since the mean curve of Random is concave.
 
+The upper line is the Sequential Oracle over all kinds of trainings. It knows every row beforehand:
+the best length of the policy for all, then the specialist or tuned copy that adds most per unit.
+
 `--without` leaves out each device of `auto` in turn. The model of the chooser has not seen the
 family; the shares that are usual were chosen on all of these data.
 """
@@ -55,11 +58,13 @@ class Table:
     Attributes:
         rivals: name -> (S, B).
         low, high: (S,) one random specialist, Oracle Transfer.
+        oracle: (S, B) of the Sequential Oracle over all kinds.
     """
 
     rivals: Mapping[str, Array]
     low: Array
     high: Array
+    oracle: Array
 
     def share(self, value: Array) -> Array:
         """(B,) of the way, seeds as a ratio of sums."""
@@ -134,7 +139,35 @@ def table_of(data: TransferData) -> Table:
         {name: np.array(rows) for name, rows in rivals.items()},
         np.array([one.grand_mean for one in known]),
         np.array([one.oracle_transfer for one in known]),
+        np.array([[oracle(data, seed, b) for b in BUDGETS] for seed in range(data.n_seeds)]),
     )
+
+
+def oracle(data: TransferData, seed: int, budget: float) -> float:
+    """V of the Sequential Oracle over all kinds; it chooses by the episodes that strategies see."""
+    weights, marks = data.space.weights, data.generalists
+    rows = {(0.0, 1.0): data.specialists[seed]} | {k: raw[seed] for k, raw in data.tuned.items()}
+    known = {pair: data.bounds.normalise(raw) for pair, raw in rows.items()}
+    plans = []
+    for length in (0.0, *(units for units in marks if units <= budget)):
+        best, now = np.full((2, data.n), -np.inf)
+        done = [data.bounds.normalise(raw[seed]) for u, raw in marks.items() if u <= length]
+        left = budget - length
+        while True:
+            for seen, fresh in done:
+                now, best = np.where(seen > best, fresh, now), np.maximum(seen, best)
+            worth = {
+                pair: (np.maximum(each[0], best) @ weights - best @ weights) / pair[1]
+                for pair, each in known.items()
+                if pair[0] <= length and pair[1] <= left
+            }
+            if not worth:
+                break
+            pair = max(worth, key=lambda one: np.nan_to_num(worth[one], posinf=1e9).max())
+            which = int(np.nan_to_num(worth[pair], posinf=1e9).argmax())
+            done, left = [known[pair][:, which]], left - pair[1]
+        plans.append((best @ weights, now @ weights))
+    return float(max(plans)[1])
 
 
 def all_then_random(data: TransferData, seed: int) -> list[float]:
@@ -210,6 +243,7 @@ def main() -> None:
             found[label][name] = {
                 "regret": table.regret(value).round(4),
                 "share": table.share(value).round(3),
+                "oracle": table.share(table.oracle).round(3),
                 "rival": best,
             }
         print(name, file=sys.stderr, flush=True)
@@ -223,26 +257,29 @@ def main() -> None:
 
 def show(rows: Mapping[str, Mapping[str, Any]]) -> None:
     """One line per CMDP."""
-    print("| CMDP | worst regret | at units | behind | mean | share at 3 | at 15 |")
-    print(f"|{'---|' * 7}")
+    heads = "worst regret | at units | behind | mean | share at 3 | oracle | at 15 | oracle"
+    print(f"| CMDP | {heads} |\n|{'---|' * 9}")
     for name, row in rows.items():
         regret = row["regret"]
         at = int(regret.argmin())
         print(
             f"| {name} | {regret[at]:.3f} | {BUDGETS[at]} | {row['rival'][at]} "
-            f"| {regret.mean():.3f} | {row['share'][2]:.2f} | {row['share'][-1]:.2f} |"
+            f"| {regret.mean():.3f} | {row['share'][2]:.2f} | {row['oracle'][2]:.2f} "
+            f"| {row['share'][-1]:.2f} | {row['oracle'][-1]:.2f} |"
         )
 
 
 def total(rows: Mapping[str, Mapping[str, Any]]) -> None:
     """In one line."""
     regrets = np.array([row["regret"] for row in rows.values()])
-    shares = np.array([row["share"] for row in rows.values()])
+    shares, above = (np.array([r[k] for r in rows.values()]) for k in ("share", "oracle"))
     print(
         f"\n{len(rows)} CMDPs: worst {regrets.min():.3f}, mean {regrets.mean():.3f}, mean of the "
         f"worst {regrets.min(1).mean():.3f}, behind by more than .01 at "
         f"{(regrets < -0.01).mean():.0%} of budgets; median share at 3 units "
-        f"{np.median(shares[:, 2]):.2f}, at 15 {np.median(shares[:, -1]):.2f}"
+        f"{np.median(shares[:, 2]):.2f}, at 15 {np.median(shares[:, -1]):.2f} (oracle "
+        f"{np.median(above[:, 2]):.2f}, {np.median(above[:, -1]):.2f}); at 15 above Oracle "
+        f"Transfer on {(shares[:, -1] > 1.0).sum()}"
     )
 
 
