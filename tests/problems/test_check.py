@@ -114,6 +114,10 @@ class SpaceFollowsContext(Sound):
         self.observation_space = Box(-self.gain, self.gain, (2,), np.float64)
 
 
+class ListOfActions(Sound):
+    action_space: ClassVar[list] = [Sound.action_space]
+
+
 class RaisesAtCorner(Sound):
     def step(self, action):
         if self.gain == 2.0 and self.t == 25:  # later than two are tried side by side
@@ -179,7 +183,8 @@ def test_a_sound_environment_passes():
         (RandomReset, "reset is deterministic", "same instance"),
         (ForgetsToReset, "reset is deterministic", "end of the episode"),
         (NanAtCorner, "runs and stays finite at the corners", "nan"),
-        (SpaceFollowsContext, "same spaces in every context", "observation_space"),
+        (SpaceFollowsContext, "same spaces in every context", "is -0.5 to 0.5 in place (0,)"),
+        (ListOfActions, "runs at the nominal context", "make those of several agents one vector"),
         (RaisesAtCorner, "runs and stays finite at the corners", "singular matrix"),
         (OldInterface, "runs at the nominal context", "must return (observation, reward, term"),
     ],

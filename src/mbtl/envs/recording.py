@@ -53,7 +53,16 @@ class Rollout:
 
 
 def draw_actions(action_space: Any, n: int, seed: int) -> list[Any]:
-    """`n` random actions; the space is left with another random state."""
+    """`n` random actions; the space is left with another random state.
+
+    Raises:
+        InvalidInput: it is no space, but, say, a list of those of several agents.
+    """
+    if not callable(getattr(action_space, "sample", None)):
+        raise InvalidInput(
+            f"actions are one space of gymnasium.spaces, got {action_space}; make those of several "
+            "agents one vector, or give a PettingZoo parallel environment"
+        )
     action_space.seed(action_seed(seed))
     return [action_space.sample() for _ in range(n)]
 

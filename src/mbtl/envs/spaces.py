@@ -100,6 +100,17 @@ def _numbers_outside(space: Any, value: Any) -> Outside | None:
     return Outside(said, bool(whole or (misses & (beyond > wide)).any()))
 
 
+def told_apart(here: Any, there: Any) -> tuple[str, str]:
+    """Two spaces that differ: of long vectors, the first place where their bounds do."""
+    vectors = isinstance(here, spaces.Box) and isinstance(there, spaces.Box)
+    if vectors and here.shape == there.shape and here.dtype == there.dtype:
+        differ = (here.low != there.low) | (here.high != there.high)
+        at = tuple(np.argwhere(differ)[0].tolist())
+        one, other = (f"{box.low[at]:g} to {box.high[at]:g} in place {at}" for box in (here, there))
+        return one, other
+    return str(here), str(there)
+
+
 def _bounds(space: Any) -> tuple[Any, Any]:
     """Smallest and largest value, float64 arrays of the space's shape."""
     if isinstance(space, spaces.Box):

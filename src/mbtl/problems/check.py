@@ -320,13 +320,16 @@ class Probe:
         return "passed", f"in {self.steps} steps"
 
     def _spaces(self) -> tuple[Outcome, str]:
+        from mbtl.envs.spaces import told_apart
+
         contexts = [self._base, *self._corner_contexts()]
         with opened(*(partial(self._make, context) for context in contexts)) as envs:
             for context, env in zip(contexts[1:], envs[1:], strict=True):
                 for name in ("observation_space", "action_space"):
                     here, there = getattr(env, name), getattr(envs[0], name)
                     if here != there:
-                        return "failed", f"{name} is {here} at {context}, {there} at {self._base}"
+                        one, other = told_apart(here, there)
+                        return "failed", f"{name} is {one} at {context}, {other} at {self._base}"
         return "passed", f"{len(contexts)} contexts"
 
     def _corners(self) -> tuple[Outcome, str]:
