@@ -105,7 +105,7 @@ class WorldTrainer:
 
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
-        "contexts": "uniform, one per episode",
+        "contexts": "uniform, one per episode, four or more in an update",
         "schedule": "falling slowly, and to zero along a last fifth",
         "checkpoint": "final",
     }
@@ -419,8 +419,11 @@ class WorldTrainer:
     def _growing(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
         n = len(sets[0])
         world, params = self._lessons([context for some in sets for context in some])
-        by_one = n == 1 or self.episodes is not None
-        recipe = self.learner if by_one else engine.multitask_recipe("ppo", self.learner, world, n)
+        recipe = self.learner
+        if n > 1 and self.episodes is None:
+            recipe = engine.multitask_recipe("ppo", recipe, world, n)
+        elif n > 1:
+            recipe = engine.of_several(recipe, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
         return engine.Growing(world, recipe, list(seeds), spread, whole)

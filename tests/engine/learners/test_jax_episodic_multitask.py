@@ -25,6 +25,15 @@ def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
     assert (np.sort(np.bincount(more[0])) == [2, 2, 2, 3, 3]).all()
 
 
+@pytest.mark.parametrize(("given", "holds", "met"), [(1, 1, 1), (1, 3, 3), (1, 6, 4), (6, 2, 6)])
+def test_an_update_for_several_contexts_sees_four_of_them_or_all(given, holds, met):
+    trainer = get_cmdp("ring-vel", engine="jax").trainer_for(
+        "quick", episodes=8, hyperparameters={"n_episodes": given}
+    )
+    growing = trainer._growing([[{"hold": float(hold)} for hold in range(1, holds + 1)]], [0])
+    assert (growing.recipe.n_episodes, growing.whole) == (met, -(-8 // met))
+
+
 @pytest.mark.long
 def test_one_policy_learns_to_calm_rings_of_several_holds():
     contexts = [{"hold": 1.0}, {"hold": 4.0}]

@@ -31,6 +31,7 @@ from mbtl.engine.learners.recipes import (
     MultiTaskRecipe,
     PPORecipe,
     multitask_recipe,
+    of_several,
 )
 from mbtl.engine.learners.saving import SavedTraining, taking_over
 
@@ -54,6 +55,7 @@ __all__ = [
     "joined",
     "measured",
     "multitask_recipe",
+    "of_several",
     "on_cpu",
     "recipe_named",
     "stage",
