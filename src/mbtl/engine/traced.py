@@ -30,7 +30,7 @@ from mbtl.contexts import Context, ContextSpace, Integer
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.engine.worlds import Box, Discrete, Solo, Step, stack_params
 from mbtl.errors import InvalidInput, few, unknown_name
-from mbtl.problems import CMDP
+from mbtl.problems import CMDP, Preset
 
 Apply = Callable[[Any, Mapping[str, Any]], Any]
 """Parameters, and traced numbers by the names of the axes -> parameters in that context."""
@@ -92,6 +92,7 @@ def jax_problem(
     horizon: int | None = None,
     show_context: bool = False,
     trainer_options: Mapping[str, Any] | None = None,
+    budget: int | None = None,
     **record: Any,
 ) -> CMDP:
     """A problem from a simulator in jax, whose axes are fields of its parameters.
@@ -114,8 +115,10 @@ def jax_problem(
         apply: (params, context) -> params in jax, where axes are not fields.
         horizon: steps of an episode; None: as the environment says, and of Brax 1000.
         show_context: end each observation with the context, each axis from 0 to 1.
-        trainer_options: of `WorldTrainer`; here 10 `eval_episodes` and the "final" checkpoint,
-            where they do not say otherwise.
+        trainer_options: of `WorldTrainer`, such as {"recipe_name": "sb3", "hyperparameters":
+            {"gamma": 0.9}} for PPO as in Stable-Baselines3, where our recipe "fast" learns too
+            little; 10 `eval_episodes` and the "final" checkpoint, where they do not say otherwise.
+        budget: default number of trainings K; 10, or N if that is smaller.
         **record: further fields of `mbtl.CMDP`, e.g. `bounds`, `nominal`, `presets`.
 
     Raises:
@@ -135,6 +138,8 @@ def jax_problem(
     trainer = WorldTrainer(problem, timesteps=timesteps, **options)
     shown = {"visibility": "cube" if show_context else "hidden"}
     record["settings"] = {**shown, **record.get("settings", {})}
+    if budget is not None:
+        record.setdefault("presets", {"default": Preset(budget)})
     return CMDP(id, space, trainer, make_env=problem.env, horizon=simulated.horizon, **record)
 
 

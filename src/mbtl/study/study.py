@@ -30,6 +30,7 @@ from mbtl.errors import (
     StudyError,
     TrainingFailed,
     UnsavedPolicies,
+    unknown_name,
 )
 from mbtl.faults import FAULTS, reason_of, say
 from mbtl.plain import short, whole
@@ -435,6 +436,7 @@ def run(
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
+            _check_baselines(study, trainer)
             _announce_others(study, announce)
             again = failures.retry_failed
             if study.state.equipment is not None or again or not study.is_finished:
@@ -701,9 +703,27 @@ def _play(
 
 
 def _baselines(study: Study, trainer: Trainer) -> dict[str, Any]:
-    """What V is compared with, by name: what the system can do by itself, and the user's own."""
+    """What V is compared with, by name: what the system can do by itself, and the user's own.
+
+    Random actions where there is neither, so that it is said whether training is worth it.
+    """
+    own = study.beside.baselines
     if not isinstance(trainer, MeasuringTrainer):
-        return dict(study.beside.baselines)
+        return dict(own)
     ways = trainer.ways([study.space.context(0)])
-    own = {way: way for way in ways if way != RANDOM_ACTIONS}
-    return {**own, **study.beside.baselines}
+    found = {way: way for way in ways if way != RANDOM_ACTIONS} | {**own}
+    return found or {"random actions": RANDOM_ACTIONS}
+
+
+def _check_baselines(study: Study, trainer: Trainer) -> None:
+    """Refuse a name that the system does not know, before anything is trained.
+
+    Raises:
+        UnknownName: of a baseline.
+    """
+    named = [one for one in study.beside.baselines.values() if isinstance(one, str)]
+    if named and isinstance(trainer, MeasuringTrainer):
+        ways = trainer.ways([study.space.context(0)])
+        for name in named:
+            if name not in ways:
+                raise unknown_name("baseline of this system", name, ways)
