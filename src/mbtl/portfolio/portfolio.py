@@ -247,7 +247,7 @@ class Portfolio:
         self,
         make_env: Callable[[Context], Any],
         *,
-        every: int = 20,
+        every: int = 10,
         episodes: int = 5,
         features: Features | None = None,
         seed: int = 0,
