@@ -18,6 +18,9 @@ over contexts. The columns:
 `taken over` asks whether a policy that takes over earns what it does alone: the best single policy
 plays a third of each episode, then the told one the rest; what that earned from then on, and what
 it earned in those steps when it had played from the start, in performance.
+
+On two busy cores a pendulum or cartpole takes three minutes, a cheetah or walker fifteen, half of
+them for training.
 """
 
 from __future__ import annotations
