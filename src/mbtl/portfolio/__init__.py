@@ -5,6 +5,7 @@ from mbtl.portfolio.mlp import BoxHead, DiscreteHead, MLPPolicy
 from mbtl.portfolio.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.router import Choice
 from mbtl.portfolio.served import Served
+from mbtl.portfolio.signs import Signs
 
 __all__ = [
     "Adaptive",
@@ -14,5 +15,6 @@ __all__ = [
     "MLPPolicy",
     "Portfolio",
     "Served",
+    "Signs",
     "load_portfolio",
 ]

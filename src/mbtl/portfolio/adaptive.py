@@ -11,6 +11,11 @@ counts what its return would teach:
 
 The second part is the knowledge gradient (Frazier, Powell and Dayanik, 2008), by quadrature.
 
+Where it is known what policies show in each part of an episode (`Signs`), a part counts in place of
+the return, one such factor per entry of its vector, and the policy may change after it. Then the
+policy of the largest expected return to go is played: looking around within an episode cost more
+than it taught (`python benchmarks/hidden_within_episode.py`).
+
 Notation (shapes): k policies, N listed contexts; all in performance.
 """
 
@@ -22,11 +27,12 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.acquisition import argmax_open
+from mbtl.acquisition import TIE, argmax_open
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
+from mbtl.portfolio.signs import Signs, Step, shown
 
 _ODD = 0.01
 """Chance that a return has nothing to do with what is believed of it: e."""
@@ -36,6 +42,8 @@ _PRIOR = 4.0
 """Episodes that the mean deviation of a policy counts as, beside those of one context."""
 _LIKELY = 1e-4
 """Contexts less likely than that, relative to the likeliest, teach nothing."""
+_NEVER = 1e-300
+"""Chance of a context that parts have ruled out: later ones may bring it back."""
 _AHEAD = 3
 """Episodes for which what a return teaches counts at most: later ones teach it, too."""
 _NODES = np.array([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
@@ -48,7 +56,8 @@ class Adaptive:
     """Chooses a policy for each episode in a context that nobody tells.
 
     `serving = portfolio.adaptive()`, and for each episode
-    `serving.observe(play(serving.policy))` with its return.
+    `serving.observe(play(serving.policy))` with its return. With `signs`, `serving.policy` acts in
+    each step, which is told by `serving.step(observation, action, reward)`.
 
     Attributes:
         space: the listed contexts.
@@ -58,8 +67,9 @@ class Adaptive:
         load: position -> policy.
         episodes: how many are expected in this context; the more, the more is tried out.
         forget: chance per episode that the context has changed.
+        signs: what policies show within an episode; None: only returns count.
         chances: (N,) of the listed contexts.
-        played: policies and raw returns so far.
+        played: policies, the last ones of their episodes, and raw returns so far.
     """
 
     space: ContextSpace = field(repr=False)
@@ -69,6 +79,7 @@ class Adaptive:
     load: Callable[[int], Any] = field(repr=False)
     episodes: int = 10
     forget: float = 0.0
+    signs: Signs | None = field(default=None, repr=False)
     chances: Array = field(init=False, repr=False)
     played: list[tuple[int, float]] = field(init=False, default_factory=list)
 
@@ -81,21 +92,25 @@ class Adaptive:
         self.chances = self.space.weights.copy()
         self._range = max(float(np.ptp(self.mean)), 1e-9)
         self._deviation = np.hypot(self.own, _BLUR * self._range)
+        self._playing: int | None = None  # in the running episode
+        self._part, self._steps = 0, list[Step]()
 
     # ---- what to play ------------------------------------------------------------------------
 
     @property
     def next(self) -> int:
-        """Position of the policy to play in the next episode; the first of equals."""
+        """Position of the policy to play in the next episode, or part; the first of equals."""
+        if self._playing is not None:
+            return self._playing
         expected = self.mean @ self.chances
         left = min(self.episodes - len(self.played) - 1, _AHEAD)
-        if left > 0 and len(expected) > 1:
+        if self.signs is None and left > 0 and len(expected) > 1:
             expected = expected + left * self._taught(float(expected.max()))
         return argmax_open(expected, np.ones(len(expected), dtype=bool))
 
     @property
     def policy(self) -> Any:
-        """The policy to play in the next episode."""
+        """The policy to play in the next episode, or part."""
         return self.load(self.next)
 
     @property
@@ -110,12 +125,30 @@ class Adaptive:
 
     # ---- what was seen -----------------------------------------------------------------------
 
+    def step(self, observation: Any, action: Any, reward: float) -> None:
+        """Learn from a step of `policy` in an episode, which `observe` ends; only with `signs`.
+
+        Args:
+            observation: that the policy saw.
+            action: what it did.
+            reward: of the step, raw.
+
+        Raises:
+            InvalidInput: rewards or features of a part are not finite.
+        """
+        if self.signs is None:
+            return
+        self._playing = self.next
+        self._steps.append((np.array(observation), np.array(action), float(reward)))
+        if len(self._steps) == self.signs.every:
+            self._learn(self.signs)
+
     def observe(self, value: float, policy: int | None = None) -> None:
-        """Learn from an episode.
+        """Learn from an episode. Where its steps were told, they count, and its return does not.
 
         Args:
             value: its return, raw.
-            policy: position of the policy that was played; `next` when missing.
+            policy: position of the policy that was played; missing: that of the steps, or `next`.
 
         Raises:
             InvalidInput: the return is not finite, or there is no such policy.
@@ -126,9 +159,14 @@ class Adaptive:
                 f"an episode has a finite return and a policy of 0 to {len(self.mean) - 1}, "
                 f"got {value!r} of policy {which}"
             )
-        seen = self.bounds.normalise(np.array([float(value)]))
-        told = self.chances * self._likelihood(which, seen)[0]
-        self.chances = told / told.sum()
+        if self.signs is None or self._playing is None:
+            seen = self.bounds.normalise(np.array([float(value)]))
+            told = self.chances * self._likelihood(which, seen)[0]
+            self.chances = told / told.sum()
+        else:
+            if self._steps:
+                self._learn(self.signs)
+            self._playing, self._part = None, 0
         self.played.append((which, float(value)))
         if self.forget:
             prior = self.space.weights
@@ -136,12 +174,29 @@ class Adaptive:
 
     # ---- inside ------------------------------------------------------------------------------
 
+    def _learn(self, signs: Signs) -> None:
+        """Let a part, perhaps cut short, tell the context and who plays the next one."""
+        steps, self._steps = self._steps, []
+        if self._part < signs.mean.shape[2]:  # no episode that was recorded lasted longer
+            self._weigh(signs, shown(steps, signs.every, signs.features))
+
+    def _weigh(self, signs: Signs, seen: Array) -> None:
+        """The same, by the vector of the part."""
+        here = (self.next, slice(None), self._part, slice(len(seen)))
+        width = signs.width[: len(seen)]
+        deviation = np.hypot(signs.deviation[here], _BLUR * width)
+        chance = np.log(_density(seen, signs.mean[here], deviation, width)).sum(axis=1)
+        told = np.maximum(self.chances * np.exp(chance - chance.max()), _NEVER)
+        self.chances = told / told.sum()
+        self._part += 1
+        to_go = signs.to_go[:, :, self._part] @ self.chances
+        expected = to_go if self.bounds.direction == "maximize" else -to_go
+        if expected[self.next] < expected.max() - TIE * max(1.0, float(np.abs(expected).max())):
+            self._playing = int(expected.argmax())
+
     def _likelihood(self, policy: int, seen: Array) -> Array:
         """(R, N) of performances `seen`, (R,)."""
-        deviation = self._deviation[policy]
-        off = (seen[:, None] - self.mean[policy]) / deviation
-        normal = np.exp(-0.5 * off**2) / (np.sqrt(2.0 * np.pi) * deviation)
-        return np.asarray((1.0 - _ODD) * normal + _ODD / self._range)
+        return _density(seen[:, None], self.mean[policy], self._deviation[policy], self._range)
 
     def _taught(self, best: float) -> Array:
         """(k,) by how much the best expected performance rises with the return of each policy."""
@@ -154,6 +209,12 @@ class Adaptive:
             after /= after.sum(axis=1, keepdims=True)
             gain[k] = chance @ (after @ self.mean.T).max(axis=1) / chance.sum() - best
         return np.maximum(gain, 0.0)
+
+
+def _density(seen: Array, mean: Array, deviation: Array, width: float | Array) -> Array:
+    """Normal, but for the chance of something odd; that alone where no mean is known (NaN)."""
+    normal = np.exp(-0.5 * ((seen - mean) / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
+    return np.asarray((1.0 - _ODD) * np.nan_to_num(normal) + _ODD / width)
 
 
 def deviations(episodes: Sequence[Array], shape: tuple[int, ...], width: float) -> Array:

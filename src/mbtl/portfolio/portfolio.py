@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace, Value
+from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.files import MALFORMED
@@ -28,8 +28,9 @@ from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, wri
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Choice, Forecast, forecast
 from mbtl.portfolio.served import Served
+from mbtl.portfolio.signs import Features, Signs, played, stacked
 from mbtl.routing import Routing, rank
-from mbtl.seeds import Purpose, evaluation_seeds
+from mbtl.seeds import Purpose, episode_seeds, evaluation_seeds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -228,16 +229,62 @@ class Portfolio:
             )
         return self._loaded[i]
 
-    def adaptive(self, *, episodes: int = 10, forget: float = 0.0) -> Adaptive:
+    def adaptive(
+        self, *, episodes: int = 10, forget: float = 0.0, signs: Signs | None = None
+    ) -> Adaptive:
         """Serve a context that is not told, from the returns of the episodes there.
 
         Args:
             episodes: how many are expected; the more, the more is tried out.
             forget: chance per episode that the context has changed.
+            signs: what `signs` recorded, to change the policy within episodes, too.
         """
         mean, width = self.routing.believed, self.bounds.high - self.bounds.low
         own = deviations(self.episodes, mean.shape, width)
-        return Adaptive(self.space, self.bounds, mean, own, self.policy, episodes, forget)
+        return Adaptive(self.space, self.bounds, mean, own, self.policy, episodes, forget, signs)
+
+    def signs(
+        self,
+        make_env: Callable[[Context], Any],
+        *,
+        every: int = 10,
+        episodes: int = 5,
+        features: Features | None = None,
+        seed: int = 0,
+    ) -> Signs:
+        """Record what each policy shows, part by part, in each listed context: see `adaptive`.
+
+        Args:
+            make_env: context -> Gymnasium environment, whose rewards add up to the return.
+            every: steps of a part.
+            episodes: of each policy in each context.
+            features: numbers of a part, such as speeds, from its observations (every, ...), each
+                before its action, and its actions (every, ...). They show the context sooner than
+                rewards do.
+            seed: of the episodes, which are the same for every policy.
+
+        Raises:
+            InvalidInput: fewer than one step or two episodes, or features that are not finite.
+        """
+        if every < 1 or episodes < 2:
+            raise InvalidInput(
+                "a part has 1 step or more, and their scatter needs 2 episodes or more, got "
+                f"every={every} and episodes={episodes}"
+            )
+        found = list[list[Array]]()
+        seeds = episode_seeds(seed, self.space.n, episodes)
+        for context, some in zip(self.space.contexts, seeds, strict=True):
+            env = make_env(dict(context))
+            for i in range(len(self)):
+                found += [played(env, self.policy(i), one, every, features) for one in some]
+            env.close()
+        each = stacked(found)
+        each = each.reshape(self.space.n, len(self), episodes, *each.shape[1:]).swapaxes(0, 1)
+        mean = np.ma.masked_invalid(each).mean(axis=2).filled(np.nan)
+        deviation = np.empty_like(mean)
+        for p, j in np.ndindex(mean.shape[2:]):
+            deviation[..., p, j] = deviations(list(each[..., p, j]), mean.shape[:2], 1.0)
+        return Signs(every, mean, deviation, features)
 
     def evaluate(
         self,
