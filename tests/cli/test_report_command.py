@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark import TransferMatrix
 
@@ -14,16 +14,12 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
 @pytest.fixture
 def stored(tmp_path):
     """A study with one of two trainings, in its folder."""
-    made = created(
-        SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s" / "study.db", name="s"
-    )
-    tell_one(made)
-    return made
+    database = tmp_path / "s" / "study.db"
+    return told(created(SPACE, budget=2, bounds=(0, 1), storage=database, name="s"), near)
 
 
-def tell_one(one):
-    pick = one.ask()
-    one.tell(pick, 1.0 - np.abs(SPACE.unit[:, 0] - SPACE.unit[pick.source, 0]))
+def near(source):
+    return 1.0 - np.abs(SPACE.unit[:, 0] - SPACE.unit[source, 0])
 
 
 def test_studies_and_matrices_become_one_page(mbtl_command, tmp_path, stored):
@@ -54,7 +50,7 @@ def test_a_mistake_costs_one_line(mbtl_command, stored, arguments, said):
 def test_a_database_of_several_studies_shows_those_that_are_named(mbtl_command, tmp_path, stored):
     for name in ("second", "third"):
         database = tmp_path / "s" / "study.db"
-        tell_one(created(SPACE, budget=1, bounds=(0, 1), storage=database, name=name))
+        told(created(SPACE, budget=1, bounds=(0, 1), storage=database, name=name), near)
     url = f"sqlite:///{tmp_path}/s/study.db"
     words = "holds 3 studies (s, second, third); choose one with name= (--name)"
     assert words in mbtl_command.refusal("report", url)

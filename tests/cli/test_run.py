@@ -16,11 +16,7 @@ import pytest
 import mbtl
 from mbtl.cli import main
 
-QUICK = Path(__file__).parents[1] / "study" / "quick_problem.py"
-
-PROBLEM = f"""
-import sys
-sys.path.insert(0, {str(QUICK.parent)!r})
+PROBLEM = """
 import quick_problem as q
 import mbtl
 how = dict(train=q.train, evaluate=q.evaluate, save=q.save, load=q.load)

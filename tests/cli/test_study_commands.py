@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
 from mbtl.zoo.cli.play import _opened
@@ -18,11 +18,10 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 1.0, 3.0): 3})
 @pytest.fixture
 def place(tmp_path):
     """A folder whose database holds two studies, and one beside it that holds one."""
-    for folder, name, told in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
+    for folder, name, picks in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
         database = tmp_path / "runs" / folder / "study.db"
         study = created(SPACE, budget=2, bounds=(0, 4), storage=database, name=name)
-        for _ in range(told):
-            study.tell(study.ask(), np.full(3, float(told)))
+        told(study, lambda source, level=float(picks): np.full(3, level), picks)
     return tmp_path / "runs"
 
 

@@ -1,14 +1,12 @@
 """`mbtl worker` and `mbtl run --workers`, as a user and a batch system start them."""
 
-import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 
 import pytest
-from test_interrupt import PROGRAM
+from test_interrupt import begun
 
 import mbtl
 
@@ -47,12 +45,8 @@ def made(place, **settings):
     )
 
 
-def begun(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**os.environ, "COLUMNS": "100"},
-    )  # fmt: skip
+def worker(*arguments):
+    return begun(("worker", *arguments), stdout=subprocess.PIPE, text=True)
 
 
 def until(happened, process):
@@ -77,7 +71,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     def help_out():
         while not (place / "shared.db").exists():
             time.sleep(0.02)
-        process = begun("worker", "shared.db", "quick.py:problem", "--json")
+        process = worker("shared.db", "quick.py:problem", "--json")
         helped.append((process.communicate()[0], process.returncode))
 
     helper = threading.Thread(target=help_out)
@@ -100,7 +94,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
 def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, number):
     study = made(place)
     (place / "slow").touch()
-    process = begun("worker", "s", "quick.py:problem")
+    process = worker("s", "quick.py:problem")
     until((place / "training").exists, process)
     assert study.refresh().open_picks[0].lease is not None
     process.send_signal(number)

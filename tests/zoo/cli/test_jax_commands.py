@@ -5,9 +5,6 @@ import json
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
 from mbtl.zoo.benchmark import load_matrix
 from mbtl.zoo.benchmark.multitask import load_multitask
 

@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("mujoco", reason="the envs extra is not installed")
-pytest.importorskip("Box2D", reason="the envs extra is not installed")
-
 from mbtl.zoo.benchmark import load_matrix
 
 LINES = [f"walker-{axis}" for axis in ("gravity", "friction", "scale")]

@@ -99,20 +99,17 @@ import json
 from dataclasses import dataclass
 import numpy as np
 from mbtl.problems import CMDP, Preset
-from mbtl.trainers import Trained
+from mbtl.trainers import Trained, Trainer
 from own import mine, train
 
 @dataclass(frozen=True)
-class Kept:
+class Kept(Trainer):
     timesteps: int = 5
     eval_episodes: int = 2
-    policy_format = "custom"
 
     @property
     def recipe(self):
         return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
-
-    takes, whole, counts = frozenset(), None, "steps"
 
     def train(self, contexts, seed, **asked):
         return Trained(train(contexts[0], seed))

@@ -3,10 +3,6 @@
 import csv
 
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
-pytest.importorskip("PIL")
-
 from PIL import Image
 
 PROBLEM = """

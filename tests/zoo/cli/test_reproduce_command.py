@@ -29,10 +29,7 @@ def test_every_item_of_a_tiny_world_by_the_command(mbtl_command, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "complaint"),
-    [
-        (("--item", "curvs"), "curves"),
-        (("--page", "p.md", "--item", "1"), "needs all items"),
-    ],
+    [(("--item", "curvs"), "curves"), (("--page", "p.md", "--item", "1"), "needs all items")],
 )
 def test_wrong_usage_says_what_to_do(mbtl_command, options, complaint):
     assert complaint in mbtl_command.refusal("reproduce", *options)

@@ -5,10 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo")
-pytest.importorskip("stable_baselines3")
-pytest.importorskip("jax")
-
 from mbtl.envs import rollout
 from mbtl.envs.rollout import Actor, Job
 from mbtl.portfolio import load_portfolio
