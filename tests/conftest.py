@@ -1,5 +1,6 @@
 """Settings of the whole test run, made before numpy and jax are imported."""
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -24,29 +25,57 @@ settings.load_profile("patient")
 
 
 @pytest.fixture
-def mbtl_command(capsys, monkeypatch, tmp_path):
-    """Run the program in a folder of its own: arguments -> (exit code, stdout, stderr)."""
-    from mbtl.cli import main
-
+def folder(monkeypatch, tmp_path):
+    """An empty folder to work in; modules that are imported from there are forgotten."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setattr(sys, "path", list(sys.path))
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
 
-    def invoke(*arguments):
-        monkeypatch.setattr(sys, "argv", ["mbtl", *map(str, arguments)])
+
+class Program:
+    """Runs `mbtl`: arguments -> (exit code, stdout, stderr)."""
+
+    def __init__(self, capsys, monkeypatch):
+        self.capsys, self.monkeypatch = capsys, monkeypatch
+
+    def __call__(self, *arguments):
+        from mbtl.cli import main
+
+        self.monkeypatch.setattr(sys, "argv", ["mbtl", *map(str, arguments)])
         try:
             main()
             code = 0
         except SystemExit as stop:
             code = stop.code or 0
-        captured = capsys.readouterr()
+        captured = self.capsys.readouterr()
         return code, captured.out, captured.err
 
-    before = set(sys.modules)
-    yield invoke
-    for name in set(sys.modules) - before:  # a user's modules in tmp_path, of this test only
-        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
+    def done(self, *arguments):
+        """What it prints where it succeeds."""
+        code, out, err = self(*arguments)
+        assert code == 0, err
+        return out
+
+    def document(self, *arguments):
+        """The same as data."""
+        return json.loads(self.done(*arguments, "--json"))
+
+    def refusal(self, *arguments, code=2):
+        """What it says, without line breaks, where it gives nothing but a complaint."""
+        found, out, err = self(*arguments)
+        assert (found, out, "Traceback" in err) == (code, "", False), err
+        return " ".join(err.split())
+
+
+@pytest.fixture
+def mbtl_command(folder, capsys, monkeypatch):
+    """The program in a folder of its own."""
+    monkeypatch.setenv("COLUMNS", "100")
+    return Program(capsys, monkeypatch)
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
-"""Studies from flat keywords: what a test varies, without the records around it."""
+"""Studies from flat keywords: what a test varies, without the records around it; and told ones."""
 
-from __future__ import annotations
-
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,8 +55,20 @@ def created(problem: Any, /, **given: Any) -> mbtl.Study:
     return mbtl.create_study(problem, **{"strategy": "specialists", **given})
 
 
+def told(study: mbtl.Study, returns: Any, picks: int = 1, **facts: Any) -> mbtl.Study:
+    """The study after so many picks, which got `returns(source)` of their targets."""
+    for _ in range(picks):
+        pick = study.ask()
+        row = returns(pick.source)
+        study.tell(pick, row if pick.targets is None else row[list(pick.targets)], **facts)
+    return study
+
+
 def ran(study: mbtl.Study, train: Any = None, evaluate: Any = None, **given: Any) -> Any:
-    """`Study.run` where options are keywords; without a line of progress."""
+    """`Study.run` where options are keywords; with `threads`, that many at once; without a line."""
+    if threads := given.pop("threads", None):
+        with ThreadPoolExecutor(2) as pool:
+            return ran(study, train, evaluate, parallel=threads, executor=pool, **given)
     workers = {name: given.pop(name) for name in _RUN if name in given}
     failures = {name: given.pop(key) for key, name in _FAIL.items() if key in given}
     if given.pop("on_failure", "continue") == "stop":

@@ -1,7 +1,5 @@
 """A strategy that does as it is told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

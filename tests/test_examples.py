@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from played import played
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NEEDS = {"own_sumo_network": ("sumo", "libsumo", "stable_baselines3")}
@@ -38,10 +39,8 @@ def test_the_traffic_lights_are_those_of_a_scenario_of_the_user(monkeypatch):
         env = example["problem"].make_env({"demand": demand})
         assert len(env.control.lights) == 3
         env.reset(seed=0)
-        ended = False
-        while not ended:
-            _, _, _, ended, info = env.follow("actuated")
-        delays.append(info["delay"])
+        outcomes = played(lambda env=env: env.follow("actuated"))
+        delays.append(outcomes[-1][4]["delay"])
         env.close()
     assert delays[1] > 1.5 * delays[0]  # the context reaches the scenario
 

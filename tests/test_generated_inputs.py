@@ -70,12 +70,11 @@ ANY = st.one_of(
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
 
 
-@contextlib.contextmanager
-def ours():
+def ours(call):
     """Errors of ours are what is wanted, each with a message; any other is a failure."""
     said = "nothing was refused"
     try:
-        yield
+        call()
     except mbtl.MbtlError as error:
         said = str(error)
     assert said.strip()
@@ -104,8 +103,7 @@ MANY = mbtl.ContextSpace.grid(
 @generated
 @given(context=st.dictionaries(TEXTS, SCALARS, max_size=3))
 def test_contexts(context):
-    with ours():
-        MANY.index({"mass": 1.0, "n": 1, "kind": "a", **context})
+    ours(lambda: MANY.index({"mass": 1.0, "n": 1, "kind": "a", **context}))
 
 
 NAMES = st.one_of(
@@ -118,10 +116,9 @@ NAMES = st.one_of(
 @generated
 @given(name=NAMES)
 def test_names_of_own_objects(name):
-    with ours(), mock.patch.object(sys, "path", list(sys.path)):
-        load_object(name)
-    with ours(), mock.patch.object(sys, "path", list(sys.path)):
-        mbtl.selectors.get_selector(name)
+    for read in (load_object, mbtl.selectors.get_selector):
+        with mock.patch.object(sys, "path", list(sys.path)):
+            ours(lambda read=read: read(name))
 
 
 SETTINGS = (
@@ -146,75 +143,64 @@ def test_settings_of_a_study(data):
         wishes.pop("costs", None)  # a user's own function may raise what it likes
     if "costs" in wishes:
         wishes.setdefault("cost_budget", 9.0)
-    with ours():
+
+    def used():
         study = created(SPACE, **wishes)
         study.tell(study.ask(), np.linspace(0.0, 1.0, 5), targets=None)
         study.ask()
+
+    ours(used)
 
 
 @generated
 @given(total=ANY | st.integers(1, 10**6), unit=ANY | st.integers(1, 1000), horizon=ANY)
 def test_budgets_in_steps(total, unit, horizon):
-    with ours():
+    def used():
         budget = mbtl.Steps(total, unit, horizon)
         study = mbtl.create_study(SPACE, budget=budget, strategy="all-first")
         study.tell(study.ask(), np.linspace(0.0, 1.0, 5))
         study.extend(mbtl.Steps(2 * total))
         study.ask()
 
+    ours(used)
+
 
 @generated
 @given(pick=ANY, returns=ANY, targets=st.none() | ANY, cost=st.none() | ANY, seconds=ANY, n=ANY)
 def test_asking_and_telling(pick, returns, targets, cost, seconds, n):
     study = mbtl.create_study(SPACE, budget=3, strategy="random")
-    with ours():
-        study.ask(n)
-    with ours():
-        study.ask(lease=cost)
-    with ours():
-        study.tell(pick, returns, targets=targets, cost=cost)
-    with ours():
-        study.tell(1, np.zeros(5), cost=cost, seconds=seconds, steps=n)
+    ours(lambda: study.ask(n))
+    ours(lambda: study.ask(lease=cost))
+    ours(lambda: study.tell(pick, returns, targets=targets, cost=cost))
+    ours(lambda: study.tell(1, np.zeros(5), cost=cost, seconds=seconds, steps=n))
     for attempt in (study.release, study.pick, study.retry, study.extend):
-        with ours():
-            attempt(pick)
-    with ours():
-        study.void(pick, "wrong")
-    with ours():
-        study.fail(study.ask(), targets)
+        ours(lambda attempt=attempt: attempt(pick))
+    ours(lambda: study.void(pick, "wrong"))
+    ours(lambda: study.fail(study.ask(), targets))
 
 
 @generated
 @given(data=st.data())
 def test_axes_spaces_and_problems(data):
     low, high, count = (data.draw(ANY) for _ in range(3))
+    grid, name = mbtl.ContextSpace.grid, data.draw(TEXTS)
     for kind in (mbtl.Linear, mbtl.Log, mbtl.Integer):
-        with ours():
-            mbtl.ContextSpace.grid({kind(data.draw(TEXTS), low, high): count})
-        with ours():
-            mbtl.ContextSpace.grid({kind("x", 1, 3): count})
-    with ours():
-        mbtl.Categorical("kind", low)
-    with ours():
-        mbtl.Bounds(low, high, count)
-    with ours():
-        mbtl.Bounds(0.0, 1.0).normalise(0.5)
-    with ours():
-        SelectionProblem.of(SPACE, budget=low, theta=high, risk=count)
+        ours(lambda kind=kind: grid({kind(name, low, high): count}))
+        ours(lambda kind=kind: grid({kind("x", 1, 3): count}))
+    ours(lambda: mbtl.Categorical("kind", low))
+    ours(lambda: mbtl.Bounds(low, high, count))
+    ours(lambda: SelectionProblem.of(SPACE, budget=low, theta=high, risk=count))
 
 
 @generated
 @given(data=st.data())
 def test_matrices_and_comparisons(data):
-    with ours():
-        TransferMatrix.of(data.draw(ARRAYS | ANY), bounds=data.draw(st.none() | ANY))
-    with ours():
-        mbtl.load_matrix(data.draw(TEXTS), data.draw(TEXTS))
+    ours(lambda: TransferMatrix.of(data.draw(ARRAYS | ANY), bounds=data.draw(st.none() | ANY)))
+    ours(lambda: mbtl.load_matrix(data.draw(TEXTS), data.draw(TEXTS)))
     matrix = TransferMatrix.of(np.eye(4)[None], bounds=(0, 1))
-    with ours():
-        mbtl.compare(data.draw(st.lists(TEXTS, max_size=2)), [matrix], budget=2, seeds=1)
-    with ours():
-        mbtl.compare(["random"], [matrix], budget=data.draw(ANY), seeds=1)
+    names, budget = data.draw(st.lists(TEXTS, max_size=2)), data.draw(ANY)
+    ours(lambda: mbtl.compare(names, [matrix], budget=2, seeds=1))
+    ours(lambda: mbtl.compare(["random"], [matrix], budget=budget, seeds=1))
 
 
 OPTIONS = (
@@ -243,15 +229,14 @@ def test_commands(made, tmp_path_factory, command, words):
     for name in ("study.db", "matrix.npz"):
         shutil.copyfile(made / name, folder / name)
     arguments = ["mbtl", *command, *words]
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.chdir(folder))
-        out = stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
-        stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        stack.enter_context(mock.patch.object(sys, "argv", arguments))
-        stack.enter_context(mock.patch.object(sys, "path", list(sys.path)))
+    out, code = io.StringIO(), 0
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()),
+        mock.patch.object(sys, "argv", arguments), mock.patch.object(sys, "path", list(sys.path)),
+    ):  # fmt: skip
         try:
             main()
-            code = 0
         except SystemExit as stop:
             code = stop.code or 0
     assert code in (0, 1, 2)

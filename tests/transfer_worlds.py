@@ -1,7 +1,5 @@
 """Transfer data in closed form: what trainings of every kind return is a formula."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,30 +1,17 @@
 """A study with a tuned copy, and what interrupts it: the same for every engine."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import ClassVar
-
 import mbtl
-from mbtl.selectors import Exhausted, Proposal, Traits
+from mbtl.selectors import Proposal
+from scripted import Scripted
 
-
-@dataclass(frozen=True)
-class Warm:
-    """A specialist, a copy of it tuned elsewhere, and that one for longer."""
-
-    name: str = "warm"
-    traits: ClassVar[Traits] = Traits(any_training=True)
-
-    def propose(self, problem, history, rng):
-        script = (
-            Proposal(2, "first", length=1.0),
-            Proposal(0, "tuned", start=0, length=0.5),
-            Proposal(0, "longer", start=1, length=1.0),
-        )
-        if len(history) == len(script):
-            raise Exhausted("all is trained")
-        return script[len(history)]
+WARM = Scripted(
+    (
+        Proposal(2, "first", length=1.0),
+        Proposal(0, "tuned", start=0, length=0.5),
+        Proposal(0, "longer", start=1, length=1.0),
+    )
+)
+"""A specialist, a copy of it tuned elsewhere, and that one for longer."""
 
 
 class Stops(mbtl.Callback):

@@ -21,15 +21,19 @@ from mbtl.cli import program; program()
 """Whoever runs the tests in the background, or under nohup, has them inherit deaf ears."""
 
 
+def begun(arguments, **how):
+    """The program in a process of its own; errors go where its output goes."""
+    command, environment = [sys.executable, "-c", PROGRAM], {**os.environ, "COLUMNS": "100"}
+    command += map(str, arguments)
+    return subprocess.Popen(command, stderr=subprocess.STDOUT, env=environment, **how)
+
+
 def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_130(tmp_path):
     pytest.importorskip("jax")
     command = ["run", "pendulum-length", "--preset", "full", "--timesteps", "20000000"]
     log = tmp_path / "log"
     with log.open("w") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *command], cwd=tmp_path, stdout=out, stderr=out,
-            env={**os.environ, "COLUMNS": "100"},
-        )  # fmt: skip
+        process = begun(command, cwd=tmp_path, stdout=out)
         wait_until(lambda: list(tmp_path.glob("runs/*/study.db")), process)
         time.sleep(1.0)  # compiling or learning
         process.send_signal(signal.SIGINT)
@@ -73,10 +77,7 @@ def test_workers_and_their_simulators_end_with_their_master(tmp_path, command, n
     (tmp_path / "slow.py").write_text(PROBLEM)
     log = tmp_path / "log"
     with log.open("w") as out:
-        master = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *command],
-            cwd=tmp_path, stdout=out, stderr=out, env={**os.environ, "COLUMNS": "100"},
-        )  # fmt: skip
+        master = begun(command, cwd=tmp_path, stdout=out)
         least = 4 if "build" in command else 2  # the study's other pick may be the quick one
         wait_until(lambda: len(list(tmp_path.glob("process-*"))) >= least, master)
         time.sleep(0.1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
 from mbtl.zoo.cli.play import _opened
@@ -18,66 +18,49 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 1.0, 3.0): 3})
 @pytest.fixture
 def place(tmp_path):
     """A folder whose database holds two studies, and one beside it that holds one."""
-    for folder, name, told in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
+    for folder, name, picks in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
         database = tmp_path / "runs" / folder / "study.db"
         study = created(SPACE, budget=2, bounds=(0, 4), storage=database, name=name)
-        for _ in range(told):
-            study.tell(study.ask(), np.full(3, float(told)))
+        told(study, lambda source, level=float(picks): np.full(3, level), picks)
     return tmp_path / "runs"
 
 
 def test_list_shows_every_study_of_every_database(mbtl_command, place):
-    rows = json.loads(mbtl_command("study", "list", "--json")[1])
-    assert [(r["study"], r["name"], r["told"]) for r in rows] == [
-        ("runs/a", "first", 1),
-        ("runs/a", "the second", 2),
-        ("runs/b", "study", 1),
-    ]
-    _, out, _ = mbtl_command("study", "list")
+    rows = mbtl_command.document("study", "list")
+    found = [(row["study"], row["name"], row["told"]) for row in rows]
+    assert found == [("runs/a", "first", 1), ("runs/a", "the second", 2), ("runs/b", "study", 1)]
+    out = mbtl_command.done("study", "list")
     assert "runs/a --name 'the second'" in out
     assert "runs/b --name" not in out
-    assert len(json.loads(mbtl_command("study", "list", place / "a/study.db", "--json")[1])) == 2
+    assert len(mbtl_command.document("study", "list", place / "a/study.db")) == 2
 
 
 def test_list_takes_the_address_of_a_database(mbtl_command, place):
     url = f"sqlite:///{place}/a/study.db"
-    code, out, err = mbtl_command("study", "list", url, "--json")
-    assert code == 0, err
-    assert [(r["study"], r["name"]) for r in json.loads(out)] == [
-        (url, "first"),
-        (url, "the second"),
-    ]
-    code, out, err = mbtl_command("study", "list", f"sqlite:///{place}/none.db")
-    assert (code, out) == (1, "")
-    assert "there is none at" in err
+    found = [(row["study"], row["name"]) for row in mbtl_command.document("study", "list", url)]
+    assert found == [(url, "first"), (url, "the second")]
+    nowhere = f"sqlite:///{place}/none.db"
+    assert "there is none at" in mbtl_command.refusal("study", "list", nowhere, code=1)
 
 
 @pytest.mark.parametrize("command", [("show",), ("export", "rows.json")])
 def test_one_of_several_studies_is_chosen_by_its_name(mbtl_command, place, tmp_path, command):
     verb, *file = command
-    code, out, err = mbtl_command("study", verb, "runs/a", *file)
-    assert (code, out) == (2, "")
-    assert "holds 2 studies (first, the second); choose one with name= (--name)" in " ".join(
-        err.split()
-    )
-    code, out, _ = mbtl_command("study", verb, "runs/a", *file, "--name", "the second", "--json")
-    assert code == 0
-    document = json.loads(out)
+    one = ("study", verb, "runs/a", *file)
+    words = "holds 2 studies (first, the second); choose one with name= (--name)"
+    assert words in mbtl_command.refusal(*one)
+    document = mbtl_command.document(*one, "--name", "the second")
     assert len(document["picks"]) == 2 if verb == "show" else document["rows"] == 2
-    code, _, err = mbtl_command("study", verb, "runs/a", *file, "--name", "frist")
-    assert code == 2
-    assert "Did you mean 'first'?" in err
+    assert "Did you mean 'first'?" in mbtl_command.refusal(*one, "--name", "frist")
 
 
 def test_a_damaged_study_gets_one_line_and_hides_no_other(mbtl_command, place):
     with sqlite3.connect(place / "a" / "study.db") as connection:
         connection.execute("UPDATE mbtl_events SET data = '{' WHERE study = 'first' AND seq = 3")
     connection.close()
-    code, _, err = mbtl_command("study", "show", "runs/a", "--name", "first")
-    assert code == 1
-    assert "event 3 of the study is damaged" in " ".join(err.split())
-    assert "Traceback" not in err
-    code, out, err = mbtl_command("study", "list", "--json")
+    first = ("study", "show", "runs/a", "--name", "first")
+    assert "event 3 of the study is damaged" in mbtl_command.refusal(*first, code=1)
+    _, out, err = mbtl_command("study", "list", "--json")
     assert [row["name"] for row in json.loads(out)] == ["the second", "study"]
     assert "event 3 of the study is damaged" in " ".join(err.split())
 

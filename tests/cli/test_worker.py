@@ -1,15 +1,12 @@
 """`mbtl worker` and `mbtl run --workers`, as a user and a batch system start them."""
 
-import json
-import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 
 import pytest
-from test_interrupt import PROGRAM
+from test_interrupt import begun
 
 import mbtl
 
@@ -35,13 +32,10 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(folder):
     """A working folder with a problem; `slow` in it makes the training in the centre endless."""
-    (tmp_path / "quick.py").write_text(QUICK)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    yield tmp_path
-    sys.modules.pop("quick", None)
+    (folder / "quick.py").write_text(QUICK)
+    return folder
 
 
 def made(place, **settings):
@@ -51,12 +45,8 @@ def made(place, **settings):
     )
 
 
-def begun(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**os.environ, "COLUMNS": "100"},
-    )  # fmt: skip
+def worker(*arguments):
+    return begun(("worker", *arguments), stdout=subprocess.PIPE, text=True)
 
 
 def until(happened, process):
@@ -67,9 +57,7 @@ def until(happened, process):
 
 def test_a_worker_trains_what_is_left_of_a_study_and_says_so(place, mbtl_command):
     made(place)
-    code, out, err = mbtl_command("worker", "s", "quick.py:problem", "--json")
-    assert code == 0, err
-    said = json.loads(out)
+    said = mbtl_command.document("worker", "s", "quick.py:problem")
     assert (said["told"], said["rows"], said["finished"]) == (3, 3, True)
     assert "budget of 3 trainings is spent" in said["ended"]
     code, out, err = mbtl_command("worker", "s", "quick.py:problem")  # nothing is left
@@ -83,14 +71,13 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     def help_out():
         while not (place / "shared.db").exists():
             time.sleep(0.02)
-        process = begun("worker", "shared.db", "quick.py:problem", "--json")
+        process = worker("shared.db", "quick.py:problem", "--json")
         helped.append((process.communicate()[0], process.returncode))
 
     helper = threading.Thread(target=help_out)
     helper.start()
-    code, _, err = mbtl_command(
-        "run", "quick.py:problem", "--workers", "shared.db", "--study", "mine", "--json"
-    )
+    run = ("run", "quick.py:problem", "--workers", "shared.db", "--study", "mine")
+    code, _, err = mbtl_command(*run, "--json")
     helper.join()
     assert code == 0, err
     assert helped[0][1] == 0, helped
@@ -98,11 +85,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     assert "done, V = " in err
     assert (place / "mine" / "portfolio").is_dir()
     assert mbtl.load_study(place / "shared.db").state.fresh is not None
-    code, _, err = mbtl_command(
-        "run", "quick.py:problem", "--workers", "shared.db", "--study", "mine", "--parallel", 2
-    )
-    assert code == 2
-    assert "mbtl worker" in err
+    assert "mbtl worker" in mbtl_command.refusal(*run, "--parallel", 2)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +94,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
 def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, number):
     study = made(place)
     (place / "slow").touch()
-    process = begun("worker", "s", "quick.py:problem")
+    process = worker("s", "quick.py:problem")
     until((place / "training").exists, process)
     assert study.refresh().open_picks[0].lease is not None
     process.send_signal(number)
@@ -126,10 +109,11 @@ def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, num
 def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, mbtl_command):
     study = made(place, budget=1)
     study.ask(lease=600.0)
-    code, out, _ = mbtl_command("worker", "s", "quick.py:problem", "--no-wait", "--json")
-    assert code == 0
-    assert json.loads(out)["ended"] == "others are at the last trainings"
-    assert not json.loads(out)["finished"]
+    said = mbtl_command.document("worker", "s", "quick.py:problem", "--no-wait")
+    assert (said["ended"], said["finished"]) == ("others are at the last trainings", False)
+
+
+NOBODY = "postgresql+psycopg://me:pw9@127.0.0.1:1/db"
 
 
 @pytest.mark.parametrize(
@@ -140,18 +124,12 @@ def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, m
         (("s", "quick.py:other"), 2, "the problem it was made for"),
         (("s", "quick.py:nothing"), 2, "no attribute"),
         (("s", "quick.py:problem", "--lease", "0"), 2, "seconds > 0"),
-        (
-            ("postgresql+psycopg://me:pw9@127.0.0.1:1/db", "quick.py:problem"),
-            1,
-            "does not answer",
-        ),
+        ((NOBODY, "quick.py:problem"), 1, "does not answer"),
     ],
 )
 def test_what_a_worker_cannot_do_it_says_in_a_sentence(place, mbtl_command, arguments, code, words):
     pytest.importorskip("psycopg")
     made(place)
-    found, out, err = mbtl_command("worker", *arguments)
-    assert (found, out) == (code, "")
-    assert words in err
-    assert "pw9" not in err
-    assert "Traceback" not in err
+    said = mbtl_command.refusal("worker", *arguments, code=code)
+    assert words in said
+    assert "pw9" not in said

@@ -15,8 +15,6 @@ A page is executed from top to bottom in an empty folder, its Python blocks in o
 - `text`, `toml`, ... are for people. A block without a language is an error.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import sys
 
 import blocks
 import numpy as np
@@ -20,15 +19,10 @@ pages = pytest.mark.parametrize(
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty one to work in; what is imported from there is forgotten."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    before = set(sys.modules)
-    yield tmp_path
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
-            del sys.modules[name]
+def folder(folder, monkeypatch):
+    """What a page writes there can be imported."""
+    monkeypatch.syspath_prepend(folder)
+    return folder
 
 
 @pages

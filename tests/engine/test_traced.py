@@ -16,6 +16,7 @@ from mbtl.engine import Box, Discrete, jax_problem
 from mbtl.engine.traced import with_fields
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.problems import check_cmdp
+from mbtl.seeds import episode_seeds
 from mbtl.trainers import reference_rows
 
 HORIZON = 20
@@ -93,8 +94,6 @@ def test_an_evaluation_is_the_simulator_itself_in_each_context():
     trainer = boat(trainer_options={**FAST, "eval_episodes": 2}).trainer
     policy = trainer.untrained(AXES.context(0))
     returns = trainer.evaluate_many([policy], AXES.contexts, range(4))[0]
-    from mbtl.seeds import episode_seeds
-
     seeds = episode_seeds(range(4), 4, 2)
     for context, own, found in zip(AXES.contexts, seeds, returns, strict=True):
         wanted = [direct_return(context, seed, policy) for seed in own]
@@ -105,8 +104,6 @@ def test_the_gymnasium_environment_plays_the_episodes_of_evaluations():
     problem, context = boat(), AXES.context(3)
     policy = problem.trainer.untrained(context)
     env, total = problem.make_env(context), 0.0
-    from mbtl.seeds import episode_seeds
-
     ((first, *_),) = episode_seeds([5], 1, 10)
     obs, _ = env.reset(seed=int(first))
     for moment in range(1, HORIZON + 1):

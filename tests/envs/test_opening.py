@@ -54,10 +54,7 @@ def test_libsumo_is_known_before_a_second_is_opened(monkeypatch):
 @pytest.mark.parametrize(
     ("wrapped", "said"),
     [
-        (
-            NormalizeObservation,
-            r"NormalizeObservation \(its obs_rms\).*observations=True",
-        ),
+        (NormalizeObservation, r"NormalizeObservation \(its obs_rms\).*observations=True"),
         (NormalizeReward, r"NormalizeReward \(its return_rms\).*normalize_reward=True"),
         (lambda env: Normalised({"gain": 1.0}), r"Normalised \(its running_mean\)"),
     ],

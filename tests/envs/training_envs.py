@@ -137,20 +137,13 @@ class Gone(Guess):
         raise EOFError
 
 
-class Dies(gymnasium.Env):
+class Dies(Guess):
     """Its process ends in the middle of an episode, as a simulator that crashes takes its own."""
 
     def __init__(self, context):
-        self.observation_space = spaces.Box(0.0, 1.0, (1,), np.float32)
-        self.action_space = spaces.Discrete(2)
-        self.steps = 0
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        return np.zeros(1, np.float32), {}
+        super().__init__({"length": 60})
 
     def step(self, action):
-        self.steps += 1
-        if self.steps == 30:
+        if self.left == 30:
             os._exit(3)
-        return np.zeros(1, np.float32), 0.0, False, False, {}
+        return super().step(action)

@@ -2,31 +2,26 @@
 
 import gzip
 import re
+from functools import partial
 from xml.etree import ElementTree
 
 import pytest
+from played import played
 
 import mbtl
 from mbtl import sumo
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.sumo.scenario import Files, Scenario
 
+IN_ROUTES, IN_NET = (partial(sumo.Attribute, f"own.{kind}.xml") for kind in ("rou", "net"))
 CHANGES = {
     "demand": (sumo.Demand(), 1.0, 2.0),
     "limit": (sumo.SpeedLimit(), 1.0, 0.5),
     "yellow": (sumo.PhaseDuration("A0", 1), 3.0, 6.0),
     "trucks": (sumo.TypeShare("truck"), 0.0, 1.0),
-    "gap": (sumo.Attribute("own.rou.xml", "vType[@id='car']", "tau"), 1.0, 3.0),
-    "east": (
-        sumo.Attribute("own.rou.xml", "flow[@id='east']", "probability", multiply=True),
-        1.0,
-        0.2,
-    ),
-    "crossing": (
-        sumo.Attribute("own.net.xml", "edge[@id='left0A0']/lane", "speed", multiply=True),
-        1.0,
-        0.3,
-    ),
+    "gap": (IN_ROUTES("vType[@id='car']", "tau"), 1.0, 3.0),
+    "east": (IN_ROUTES("flow[@id='east']", "probability", multiply=True), 1.0, 0.2),
+    "crossing": (IN_NET("edge[@id='left0A0']/lane", "speed", multiply=True), 1.0, 0.3),
 }
 
 
@@ -44,12 +39,10 @@ def scenario(config, *names):
 def rollout(config, name, value, opened):
     """What is seen in two minutes in which a light goes on whenever it may."""
     env = opened(sumo.ScenarioEnv({name: value}, scenario(config, name), seconds=120))
-    seen, ended = [env.reset(seed=7)[0]], False
-    while not ended:
-        observation, *_, ended, info = env.step(1)
-        seen.append(observation)
+    first, _ = env.reset(seed=7)
+    outcomes = played(lambda: env.step(1))
     env.close()
-    return [one.tolist() for one in seen], info
+    return [first.tolist(), *(one[0].tolist() for one in outcomes)], outcomes[-1][4]
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -112,23 +105,11 @@ def test_a_configuration_is_read_as_sumo_reads_it(own, tmp_path):
         (sumo.PhaseDuration("A0", 4), UnknownName, r"phase\[5\]"),
         (sumo.TypeShare("trukc"), UnknownName, "Did you mean 'truck'"),
         (sumo.Attribute("own.rou.xm", "flow", "end"), UnknownName, "Did you mean 'own.rou.xml'"),
-        (sumo.Attribute("own.rou.xml", "flwo", "end"), UnknownName, "Did you mean 'flow'"),
-        (
-            sumo.Attribute("own.rou.xml", "flow[@id='eats']", "end"),
-            UnknownName,
-            r"Did you mean \"flow\[@id='east'\]\"",
-        ),
-        (sumo.Attribute("own.rou.xml", "flow[", "end"), UnknownName, "Its elements are flow, "),
-        (
-            sumo.Attribute("own.rou.xml", "flow", "probabilty"),
-            UnknownName,
-            "no attribute of <flow> .*Did you mean 'probability'",
-        ),
-        (
-            sumo.Attribute("own.rou.xml", "flow", "from", multiply=True),
-            InvalidInput,
-            "only numbers are multiplied, got 'left0A0'",
-        ),
+        (IN_ROUTES("flwo", "end"), UnknownName, "Did you mean 'flow'"),
+        (IN_ROUTES("flow[@id='eats']", "end"), UnknownName, r"mean \"flow\[@id='east'\]\""),
+        (IN_ROUTES("flow[", "end"), UnknownName, "Its elements are flow, "),
+        (IN_ROUTES("flow", "probabilty"), UnknownName, "attribute of <flow> .*mean 'probability'"),
+        (IN_ROUTES("flow", "from", multiply=True), InvalidInput, "are multiplied, got 'left0A0'"),
     ],
 )
 def test_what_the_scenario_does_not_have_is_one_sentence_at_construction(change, error, told, own):
@@ -139,39 +120,28 @@ def test_what_the_scenario_does_not_have_is_one_sentence_at_construction(change,
 
 
 def test_axes_lights_and_times_are_checked_at_construction(own, tmp_path):
-    demand = {"demand": sumo.Demand()}
-    with pytest.raises(InvalidInput, match="each axis has a change of its name"):
-        sumo.from_sumocfg("own", own, space_of("limit"), demand, timesteps=100)
-    with pytest.raises(UnknownName, match="Did you mean 'A0'"):
-        sumo.from_sumocfg("own", own, space_of("demand"), demand, lights=["A1"], timesteps=100)
-    with pytest.raises(InvalidInput, match="0 to 1, got 2"):
-        scenario(own, "trucks").files({"trucks": 2.0})
-    with pytest.raises(InvalidInput, match="a scenario needs XML files"):
-        sumo.from_sumocfg("own", tmp_path / "no", space_of("demand"), demand, timesteps=100)
-    endless = tmp_path / "endless.sumocfg"
+    endless, dark = tmp_path / "endless.sumocfg", tmp_path / "dark.sumocfg"
     endless.write_text(re.sub("<end .*?/>", "", own.read_text()))
     for path in own.parent.iterdir():
         (tmp_path / path.name).exists() or (tmp_path / path.name).symlink_to(path)
-    with pytest.raises(InvalidInput, match="give seconds"):
-        sumo.from_sumocfg("own", endless, space_of("demand"), demand, timesteps=100)
+    nodes = '<nodes><node id="a" x="0" y="0"/><node id="b" x="99" y="0"/></nodes>'
+    road = sumo.network({"nodes": nodes, "edges": '<edges><edge id="ab" from="a" to="b"/></edges>'})
+    dark.write_text(f'<configuration><net-file value="{road}"/><end value="9"/></configuration>')
+    demand = space_of("demand")
+    for config, space, more, error, words in (
+        (own, space_of("limit"), {}, InvalidInput, "each axis has a change of its name"),
+        (own, demand, {"lights": ["A1"]}, UnknownName, "Did you mean 'A0'"),
+        (tmp_path / "no", demand, {}, InvalidInput, "a scenario needs XML files"),
+        (endless, demand, {}, InvalidInput, "give seconds"),
+        (dark, demand, {}, InvalidInput, "needs a network with traffic lights"),
+    ):
+        with pytest.raises(error, match=words):
+            sumo.from_sumocfg("x", config, space, {"demand": sumo.Demand()}, timesteps=9, **more)
 
 
-def test_a_network_without_lights_is_refused(own, tmp_path):
-    road = sumo.network(
-        {
-            "nodes": '<nodes><node id="a" x="0" y="0"/><node id="b" x="99" y="0"/></nodes>',
-            "edges": '<edges><edge id="ab" from="a" to="b"/></edges>',
-        }
-    )
-    config = tmp_path / "road.sumocfg"
-    config.write_text(f'<configuration><net-file value="{road}"/><end value="9"/></configuration>')
-    with pytest.raises(InvalidInput, match="needs a network with traffic lights"):
-        sumo.from_sumocfg(
-            "road", config, space_of("demand"), {"demand": sumo.Demand()}, timesteps=100
-        )
-
-
-def test_a_speed_limit_is_a_factor_and_no_speed(own):
+def test_a_speed_limit_is_a_factor_and_no_speed_and_a_share_is_one(own):
+    with pytest.raises(InvalidInput, match="0 to 1, got 2"):
+        scenario(own, "trucks").files({"trucks": 2.0})
     files = Files({"net-file": str(own.with_name("own.net.xml"))})
     with pytest.raises(InvalidInput, match=r"SpeedLimit takes a factor, got 20\.0"):
         sumo.SpeedLimit().apply(files, 20.0)

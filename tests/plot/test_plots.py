@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.plot.maps import LABELS
 from mbtl.selectors.outlook import outlook
 from mbtl.zoo.benchmark import TransferMatrix
@@ -23,10 +23,7 @@ def row(space, source):
 
 def study_on(space, picks=4, strategy="mbtl"):
     study = created(space, budget=6, bounds=(0.0, 1.0), problem="toy", strategy=strategy)
-    for _ in range(picks):
-        pick = study.ask()
-        study.tell(pick, row(space, pick.source))
-    return study
+    return told(study, lambda source: row(space, source), picks)
 
 
 def texts(ax):

@@ -22,19 +22,20 @@ def relu_policy(head=None):
     )
 
 
+def linear(weight, bias, head):
+    """Outputs are weight x + bias."""
+    return MLPPolicy((f32(weight),), (f32(bias),), "tanh", (1,), head)
+
+
 def box_policy(**options):
-    head = BoxHead(f32([-1, 0]), f32([1, 10]), **options)
-    return MLPPolicy((f32([[1], [2]]),), (f32([0, 0]),), "tanh", (1,), head)
+    return linear([[1], [2]], [0, 0], BoxHead(f32([-1, 0]), f32([1, 10]), **options))
 
 
 def test_outputs_of_a_network_worked_out_by_hand():
     assert relu_policy().outputs(f32([[2.0], [-3.0]])).tolist() == [[3.0, 0.0], [1.0, 3.0]]
 
 
-BLOCKS = MLPPolicy(
-    (f32(np.zeros((5, 1))),), (f32([0, 1, 5, 9, 7]),), "tanh", (1,),
-    DiscreteHead((2, 3), scalar=False),
-)  # fmt: skip
+BLOCKS = linear(np.zeros((5, 1)), [0, 1, 5, 9, 7], DiscreteHead((2, 3), scalar=False))
 
 
 @pytest.mark.parametrize(
@@ -55,22 +56,13 @@ def test_the_action_is_the_best_of_the_outputs(policy, observation, action):
     assert found.dtype == (np.float32 if isinstance(policy.head, BoxHead) else np.int64)
 
 
+COIN = linear([[0], [0]], [np.log(3), 0], DiscreteHead((2,)))  # three times as likely 0 as 1
+GAUSS = linear([[1]], [0], BoxHead(f32([-9]), f32([9]), log_std=f32([np.log(0.5)])))
+
+
 @pytest.mark.parametrize(
-    ("policy", "mean", "std"),
-    [
-        (  # three times as likely to be 0 as to be 1
-            MLPPolicy((f32([[0], [0]]),), (f32([np.log(3), 0]),), "tanh", (1,), DiscreteHead((2,))),
-            0.25, np.sqrt(0.1875),
-        ),
-        (
-            MLPPolicy(
-                (f32([[1]]),), (f32([0]),), "tanh", (1,),
-                BoxHead(f32([-9]), f32([9]), log_std=f32([np.log(0.5)])),
-            ),
-            2.0, 0.5,
-        ),
-    ],
-)  # fmt: skip
+    ("policy", "mean", "std"), [(COIN, 0.25, np.sqrt(0.1875)), (GAUSS, 2.0, 0.5)]
+)
 def test_samples_follow_their_distribution(policy, mean, std):
     observations = f32(np.full((4000, 1), 2.0))
     actions, _ = policy.predict(observations, deterministic=False, rng=np.random.default_rng(0))
@@ -111,7 +103,7 @@ def test_saved_policy_acts_as_before(policy, tmp_path):
 
 def test_layers_that_do_not_fit_are_refused():
     with pytest.raises(InvalidInput, match="layers must lead from 1 inputs to 2 outputs"):
-        MLPPolicy((f32([[1, 1]]),), (f32([0]),), "tanh", (1,), DiscreteHead((2,)))
+        linear([[1, 1]], [0], DiscreteHead((2,)))
     with pytest.raises(InvalidInput, match="activation must be"):
         MLPPolicy((f32([[1], [1]]),), (f32([0, 0]),), "selu", (1,), DiscreteHead((2,)))
     with pytest.raises(InvalidInput, match=r"shape \(1,\), alone or as a batch, got \(3,\)"):

@@ -95,11 +95,7 @@ def test_nine_of_ten_returns_lie_where_explain_says_whoever_shares_the_episodes(
         noise = 300.0 * np.random.default_rng(seed).standard_normal(size)
         episodes = truth[:, :, None] + np.broadcast_to(noise, (4, n, 3))
         portfolio = Portfolio(
-            space,
-            sources,
-            episodes.mean(axis=2),
-            Bounds(-1600.0, 0.0),
-            episodes=list(episodes),
+            space, sources, episodes.mean(axis=2), Bounds(-1600.0, 0.0), episodes=list(episodes)
         )
         for target in range(seed % 4, n, 4):
             choice = portfolio.explain(space.context(target))
@@ -117,13 +113,8 @@ def test_what_all_policies_share_is_in_a_return_and_not_in_a_lead():
     space = ContextSpace.grid({Linear("x", 0.0, 1.0): n})
     returns = np.array([450.0 - 25.0 * abs(source - np.arange(n)) for source in (2, 9)])
     luck = played(np.zeros((1, n)), 90.0, 9)[0]
-    portfolio = Portfolio(
-        space,
-        (2, 9),
-        returns,
-        Bounds(0.0, 500.0),
-        episodes=[row[:, None] + luck for row in returns],
-    )
+    episodes = [row[:, None] + luck for row in returns]
+    portfolio = Portfolio(space, (2, 9), returns, Bounds(0.0, 500.0), episodes=episodes)
     choice = portfolio.explain(space.context(2))
     assert 10.0 < choice.error < 36.0  # 30 by its own episodes alone
     assert choice.margin == pytest.approx(175.0, abs=1.0)
@@ -209,10 +200,8 @@ def test_saved_portfolio_is_the_same_portfolio(tmp_path):
     assert (again.sources, again.bounds) == ((0, 4), Bounds(0, 500))
     assert (again.cmdp, again.metadata) == ("cartpole-length", {"note": "test"})
     assert [act(again.policy(i)) for i in range(2)] == [0, 1]
-    assert sorted(p.name for p in (tmp_path / "p" / "policies").iterdir()) == [
-        "source-0000",
-        "source-0004",
-    ]
+    policies = sorted(path.name for path in (tmp_path / "p" / "policies").iterdir())
+    assert policies == ["source-0000", "source-0004"]
     assert [p.name for p in tmp_path.iterdir()] == ["p"]  # nothing half-built is left beside it
 
 
@@ -240,10 +229,8 @@ def test_trained_folders_are_copied_and_outlive_the_study(tmp_path):
     kept.rmdir()
     again = load_portfolio(folder, load=lambda place: (place / "theta.txt").read_text())
     assert [again.policy(0), again.policy(1)] == ["7", "7"]
-    assert sorted(p.name for p in (folder / "policies").iterdir()) == [
-        "source-0000",
-        "source-0000-2",
-    ]
+    policies = sorted(path.name for path in (folder / "policies").iterdir())
+    assert policies == ["source-0000", "source-0000-2"]
     with pytest.raises(InvalidInput, match="pass load="):
         load_portfolio(folder).policy(0)
     with pytest.raises(StorageError, match="moved or deleted"):

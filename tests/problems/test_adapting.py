@@ -1,8 +1,5 @@
 """A policy is tuned for one target more, and kept where it is better there."""
 
-import json
-import sys
-
 import numpy as np
 import pytest
 
@@ -48,10 +45,8 @@ fixed = mbtl.CMDP.from_functions(
 
 
 @pytest.fixture
-def toy(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(sys.modules, "toy", raising=False)  # of another test's folder
-    (tmp_path / "toy.py").write_text(TOY)
+def toy(folder):
+    (folder / "toy.py").write_text(TOY)
     problem = mbtl.problems.load_object("toy.py:problem")
     study = mbtl.create_study(problem, budget=2, strategy="equidistant", storage="s/study.db")
     study.run(progress=False)
@@ -89,14 +84,11 @@ def test_one_that_is_not_better_is_not_kept(toy, mbtl_command):
 
 def test_the_command_tunes_says_and_adds(toy, mbtl_command):
     target = ("--to", "x=9", "--problem", "toy.py:problem", "--trust")
-    code, out, err = mbtl_command("adapt", "s/portfolio", *target, "--json")
-    assert code == 0, err
-    told = json.loads(out)
+    told = mbtl_command.document("adapt", "s/portfolio", *target)
     assert told["lead"] > told["margin"]
     assert len(load_portfolio("s/portfolio", trust=True)) == 3
-    code, out, _ = mbtl_command("adapt", "s/portfolio", *target)
-    assert code == 0
-    assert "Nothing was kept, and s/portfolio is as it was." in out
+    again = mbtl_command.done("adapt", "s/portfolio", *target)
+    assert "Nothing was kept, and s/portfolio is as it was." in again
 
 
 @pytest.mark.parametrize(
@@ -110,9 +102,7 @@ def test_the_command_tunes_says_and_adds(toy, mbtl_command):
     ],
 )
 def test_what_cannot_be_done_costs_one_line(toy, mbtl_command, more, words):
-    code, _, err = mbtl_command("adapt", "s/portfolio", *more)
-    assert code == 2
-    assert words in err
+    assert words in mbtl_command.refusal("adapt", "s/portfolio", *more)
 
 
 def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):

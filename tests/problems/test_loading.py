@@ -1,5 +1,3 @@
-import sys
-
 import pytest
 
 from mbtl.errors import InvalidInput, UnknownName
@@ -29,16 +27,10 @@ BROKEN = {
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A working folder with modules of its own, forgotten afterwards."""
-    before = set(sys.modules)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own_problem.py").write_text(PROBLEM)
-    yield tmp_path
-    for name in set(sys.modules) - before:
-        if name.startswith(("own_", "other_", "broken_")):
-            del sys.modules[name]
+def folder(folder):
+    """The working folder has a module of its own."""
+    (folder / "own_problem.py").write_text(PROBLEM)
+    return folder
 
 
 def test_ids_and_own_problems_resolve_alike(folder):
@@ -51,9 +43,7 @@ def test_ids_and_own_problems_resolve_alike(folder):
 def test_a_file_elsewhere_and_the_modules_beside_it(folder):
     (folder / "deep").mkdir()
     (folder / "deep" / "own_part.py").write_text("NUMBER = 41\n")
-    (folder / "deep" / "other_file.py").write_text(
-        "import own_part\nANSWER = own_part.NUMBER + 1\n"
-    )
+    (folder / "deep" / "other_file.py").write_text("import own_part\nANSWER = own_part.NUMBER + 1")
     assert load_object("deep/other_file.py:ANSWER") == 42
 
 

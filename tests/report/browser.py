@@ -10,17 +10,9 @@ import sys
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-sync",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--remote-debugging-pipe",
-]
+OFF = ("gpu", "quic", "sync", "background-networking", "component-update")
+FLAGS = ["--headless", "--no-sandbox", "--no-first-run", "--remote-debugging-pipe"]
+FLAGS += [f"--disable-{part}" for part in OFF]
 _EXEC = """
 import fcntl, os, sys
 ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]

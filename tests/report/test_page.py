@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from flat import created, ran
+from flat import created, ran, told
 from mbtl.errors import InvalidInput
 from mbtl.report import of_study, page, write_page
 from mbtl.report.content import content
@@ -23,13 +23,13 @@ N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
 
 
+def near(space, source):
+    return 0.9 - 0.5 * np.linalg.norm(space.unit - space.unit[source], axis=1)
+
+
 def study_on(space=SPACE, picks=3, problem="toy"):
     study = created(space, budget=6, bounds=(0.0, 1.0), problem=problem, strategy="mbtl")
-    for _ in range(picks):
-        pick = study.ask()
-        away = np.linalg.norm(space.unit - space.unit[pick.source], axis=1)
-        study.tell(pick, 0.9 - 0.5 * away, seconds=60.0)
-    return study
+    return told(study, lambda source: near(space, source), picks, seconds=60.0)
 
 
 def unpacked(text):
@@ -136,10 +136,8 @@ def test_a_page_begins_with_v_as_a_return_and_ends_in_what_to_do(tmp_path):
         SPACE, budget=2, bounds=(0.0, 200.0), problem="toy", strategy="mbtl",
         storage=tmp_path / "study.db", name="study",
     )  # fmt: skip
-    while (pick := study.ask()) is not None and len(study.trainings) < 2:
-        study.tell(
-            pick, 200.0 * (0.9 - 0.5 * np.abs(SPACE.unit[:, 0] - SPACE.unit[pick.source, 0]))
-        )
+    told(study, lambda source: 200.0 * near(SPACE, source))
+    study.ask()
     text = page([of_study(study)])
     v = study.value
     assert f'<p class="value">V = {v:.3f}</p><p>mean return {200 * v:.4g} over' in text

@@ -7,7 +7,7 @@ import scipy.stats
 from rich.console import Console
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.problems import get_cmdp
 from mbtl.report import of_study, page, reference_curves, summarise_study
 from mbtl.report.content import content
@@ -27,10 +27,7 @@ def row(source):
 
 def study_of(picks, episodes=1, **settings):
     study = created(SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", strategy="mbtl", **settings)
-    for _ in range(picks):
-        pick = study.ask()
-        study.tell(pick, np.repeat(row(pick.source)[:, None], episodes, axis=1))
-    return study
+    return told(study, lambda source: np.repeat(row(source)[:, None], episodes, axis=1), picks)
 
 
 def test_numbers_of_a_known_study():
@@ -124,8 +121,7 @@ def test_verdict_is_silent_where_chance_decides():
     assert "cannot be said from one episode" in summarise_study(study_of(4)).verdict
     rng = np.random.default_rng(0)
     noisy = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="mbtl")
-    for _ in range(3):
-        noisy.tell(noisy.ask(), 0.8 + 0.3 * rng.standard_normal((N, 3)))
+    told(noisy, lambda source: 0.8 + 0.3 * rng.standard_normal((N, 3)), 3)
     summary = summarise_study(noisy)
     assert summary.verdict.startswith("Whether one policy is enough cannot be said yet")
     assert summary.single_gain_margin > 0.01
@@ -167,13 +163,8 @@ def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
 def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_policies_tie():
     """Two policies that are equally good in the episodes seen; afresh each is good near its own."""
     study = created(SPACE, budget=2, bounds=(0.0, 1.0), strategy="mbtl")
-    sources = []
-    for _ in range(2):
-        pick = study.ask()
-        sources.append(pick.source)
-        study.tell(pick, np.full((N, 2), 0.9))
-    portfolio = study.portfolio()
-    nearest = np.abs(np.arange(N)[:, None] - np.array(sources)).argmin(axis=1)
+    portfolio = told(study, lambda source: np.full((N, 2), 0.9), 2).portfolio()
+    nearest = np.abs(np.arange(N)[:, None] - study.history.sources).argmin(axis=1)
     assert portfolio.routing.route.tolist() == nearest.tolist()
     plan = plan_of(study.state)
     assert plan.route.tolist() == nearest.tolist()
@@ -205,9 +196,8 @@ def test_a_training_is_said_by_its_contexts_what_it_began_with_and_how_long_it_w
         Proposal(0, "alone"),
     )
     study = created(SPACE, budget=6, bounds=(0.0, 1.0), strategy=InTurn(script))
-    for level in (0.3, 0.5, 0.6, 0.3, 0.4):
-        pick = study.ask()
-        study.tell(pick, np.full(N if pick.targets is None else len(pick.targets), level))
+    levels = iter((0.3, 0.5, 0.6, 0.3, 0.4))
+    told(study, lambda source: np.full(N, next(levels)), 5)
     study.fail(study.ask(), "diverged")
     summary = summarise_study(study)
     assert [(pick.trained_on(SPACE), pick.status) for pick in summary.picks] == [

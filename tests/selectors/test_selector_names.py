@@ -1,4 +1,3 @@
-import sys
 import types
 
 import numpy as np
@@ -37,13 +36,11 @@ NOTHING = 3
 
 
 @pytest.fixture
-def file(tmp_path, monkeypatch):
-    """A file with selectors, its module forgotten afterwards."""
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    path = tmp_path / "own_selectors.py"
+def file(folder):
+    """A file with selectors."""
+    path = folder / "own_selectors.py"
     path.write_text(OWN)
-    yield str(path)
-    sys.modules.pop("own_selectors", None)
+    return str(path)
 
 
 def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):

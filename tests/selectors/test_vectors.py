@@ -6,22 +6,14 @@ import numpy as np
 import pytest
 from sklearn_gp import fit_sklearn
 
+from mbtl import selectors
 from mbtl.acquisition import optimistic_gain
 from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.history import History
 from mbtl.models import GPSettings, fit_gp
 from mbtl.objective import value_curve
-from mbtl.selectors import (
-    GPMBTL,
-    MBTL,
-    SDMBTL,
-    MBTLRelease,
-    Random,
-    SelectionProblem,
-    get_selector,
-    model_based,
-)
+from mbtl.selectors import GPMBTL, MBTL, MBTLRelease, SelectionProblem, get_selector, model_based
 from mbtl.selectors.base import served
 from mbtl.selectors.mbtl import ucb_weight
 
@@ -174,7 +166,8 @@ def test_a_broken_fit_falls_back_and_says_so(selector):
 def test_random_is_uniform():
     problem, history = SelectionProblem.of(line(4), budget=4), History(4)
     draws = [
-        Random().propose(problem, history, np.random.default_rng(s)).source for s in range(800)
+        get_selector("random").propose(problem, history, np.random.default_rng(s)).source
+        for s in range(800)
     ]
     counts = np.bincount(draws, minlength=4)
     assert np.abs(counts - 200).max() < 5 * np.sqrt(200 * 0.75)
@@ -192,7 +185,7 @@ def test_unknown_selector_gets_a_suggestion():
         (lambda: SelectionProblem.of(line(10), budget=11), r"number of contexts \(10\), got 11"),
         (lambda: MBTL(acquisition="guessed"), "acquisition"),
         (lambda: MBTL(warm_up=-1), "warm_up"),
-        (lambda: SDMBTL(look_after=1), "look_after"),
+        (lambda: selectors.SDMBTL(look_after=1), "look_after"),
     ],
 )
 def test_what_fits_no_selection_is_refused(make, words):

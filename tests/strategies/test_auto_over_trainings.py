@@ -1,8 +1,5 @@
 """Auto over trainings: worlds in closed form, and live studies."""
 
-from __future__ import annotations
-
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -144,8 +141,7 @@ def test_two_workers_spend_the_budget_and_end_as_well():
     values = []
     for parallel in (1, 2):
         study, simulator = created(SPACE, budget=6, strategy=Auto(), bounds=(0.0, 1.0)), Simulator()
-        how = {"parallel": parallel, "executor": ThreadPoolExecutor(2)}
-        ran(study, simulator.train, simulator.evaluate, report=False, progress=False, **how)
+        ran(study, simulator.train, simulator.evaluate, threads=parallel, report=False)
         assert study.state.paid == pytest.approx(6.0)
         assert [len(pick.sources) for pick in study.state.picks[:2]] == [N, N]
         values.append(study.value)

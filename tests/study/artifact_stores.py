@@ -1,7 +1,5 @@
 """What every artifact store owes: subclass `ArtifactStoreContract` and give a `store` fixture."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

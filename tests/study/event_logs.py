@@ -1,7 +1,5 @@
 """What every event log owes: subclass `EventLogContract` and give a `log` fixture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,10 +1,7 @@
 """Picks of every kind, and what they cost: in units, in environment steps, in the user's own."""
 
-from __future__ import annotations
-
 import json
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -98,8 +95,7 @@ def test_where_no_policy_for_all_can_be_had_there_are_specialists_only(fails):
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_one_policy_goes_on_with_its_own_weights(parallel):
     simulator, study = Simulator(), study_of("one-policy", budget=7)
-    with_threads = {} if parallel == 1 else {"parallel": 2, "executor": ThreadPoolExecutor(2)}
-    simulated(study, simulator, report=False, **with_threads)
+    simulated(study, simulator, report=False, threads=parallel)
     assert [row.length for row in study.state.rows] == [1.0, 2.0, 4.0, 7.0]
     assert [call[3] for call in simulator.calls] == [1.0, 1.0, 2.0, 3.0]  # how much more
     assert {call[1] for call in simulator.calls} == {training_seed(0, 0, ALL)}
@@ -353,9 +349,7 @@ def in_steps(total, strategy="mixed", **settings):
 
 
 def run(study, trainer, parallel=1, **how):
-    with ThreadPoolExecutor(2) as pool:
-        how |= {"parallel": parallel, "executor": pool}
-        return ran(study, trainer=trainer, report=False, rehearse=False, **how)
+    return ran(study, trainer=trainer, threads=parallel, report=False, rehearse=False, **how)
 
 
 # ---- budgets in steps ---------------------------------------------------------------------------

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from line_problem import load, save
 
 import mbtl
 from mbtl.report import of_study, summarise_study
@@ -25,14 +26,6 @@ def evaluate(policy, contexts, seeds):
     asked = np.array([context["demand"] for context in contexts])[:, None]
     delay = np.full_like(asked, 14.0) if policy == "fixed" else 10.0 + 2.0 * abs(asked - policy)
     return {"delay": delay + luck, "throughput": 60.0 * asked + 0.0 * luck}
-
-
-def save(policy, folder):
-    (folder / "home").write_text(str(policy))
-
-
-def load(folder):
-    return float((folder / "home").read_text())
 
 
 def problem(**record):

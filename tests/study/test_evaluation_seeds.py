@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from line_problem import line
+from line_problem import line, train
 
 from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
@@ -15,10 +15,6 @@ SPACE = line(64)
 def study_of(root=0, **settings):
     given = {"budget": 2, "bounds": (0.0, 1.0), "strategy": "random", **settings}
     return created(SPACE, seed=root, **given)
-
-
-def train(context, seed):
-    return 0.5
 
 
 @pytest.mark.parametrize(

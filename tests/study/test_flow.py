@@ -55,8 +55,7 @@ def test_a_slow_training_holds_up_no_other(tmp_path):
             others_done.wait()
         return context["x"]
 
-    with ThreadPoolExecutor(2) as pool:
-        ran(study, waits, evaluate, parallel=2, executor=pool, callbacks=[Ear()], report=False)
+    ran(study, waits, evaluate, threads=2, callbacks=[Ear()], report=False)
     assert order == [*range(1, 9), 0]
     assert study.is_finished
 
@@ -129,8 +128,8 @@ def test_while_nothing_has_succeeded_a_failure_begins_nothing_new():
         begun.append(context["x"])
         raise RuntimeError("a slip")
 
-    with ThreadPoolExecutor(2) as pool, pytest.raises(TrainingFailed, match="has succeeded") as end:
-        ran(study_of(), broken, evaluate, parallel=2, executor=pool)
+    with pytest.raises(TrainingFailed, match="has succeeded") as end:
+        ran(study_of(), broken, evaluate, threads=2)
     assert len(begun) == 2
     assert "in broken" in end.value.__notes__[0]  # the exception itself stays in the worker
 
@@ -141,8 +140,8 @@ def test_an_interrupt_gives_back_what_is_under_way(tmp_path):
             raise KeyboardInterrupt
 
     study = study_of(storage=tmp_path / "study.db")
-    with ThreadPoolExecutor(2) as pool, pytest.raises(KeyboardInterrupt):
-        ran(study, train, evaluate, parallel=2, executor=pool, callbacks=[Stop()])
+    with pytest.raises(KeyboardInterrupt):
+        ran(study, train, evaluate, threads=2, callbacks=[Stop()])
     assert len(study.state.rows) == 1
     assert all(pick.lease is None for pick in study.state.open_picks.values())
     assert np.isfinite(study.value)
@@ -249,9 +248,8 @@ def test_a_training_that_never_reports_is_ended(where, parallel):
         return evaluate(policy, contexts, seed)
 
     study = study_of()
-    with ThreadPoolExecutor(2) as pool:
-        ran(study, trained, evaluated, timeout=0.2, report=False, rehearse=False,
-            parallel=parallel, executor=pool)  # fmt: skip
+    how = {"timeout": 0.2, "report": False, "rehearse": False}
+    ran(study, trained, evaluated, threads=parallel, **how)
     assert len(study.state.rows) == 8
     failed = [*study.state.failures, *study.state.deferred.values()]
     assert [one.source for one in failed] == [WRONG]
@@ -270,8 +268,7 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
 
     first = training_seed(5, 0, WRONG)
     study = study_of(seed=5)
-    with ThreadPoolExecutor(2) as pool:
-        ran(study, diverging, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
+    ran(study, diverging, evaluate, threads=parallel, retries=1, report=False)
     wrong = SPACE.context(WRONG)["x"]
     assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 1)]
     assert all(len(found) == 1 for found in seeds.values())
@@ -306,8 +303,7 @@ def test_a_training_that_exits_has_failed(parallel, code):
         return context["x"]
 
     study = study_of()
-    with ThreadPoolExecutor(2) as pool:
-        ran(study, exiting, evaluate, parallel=parallel, executor=pool, report=False)
+    ran(study, exiting, evaluate, threads=parallel, report=False)
     assert len(study.state.rows) == 8
     (failed,) = study.state.failures
     assert failed.reason == f"sys.exit({code!r}) was called, where it must return or raise"

@@ -316,12 +316,7 @@ def test_an_end_that_leaves_work_behind_is_known_until_the_last_of_it_is_taken_o
 
 # ---- many threads, and other processes ----------------------------------------------------------
 
-MANY, THREADS = 12, 6
-WIDE = line(MANY)
-
-
-def row_of(context):
-    return 1.0 - np.abs(np.linspace(0.0, 1.0, MANY) - context["x"])
+THREADS = 6
 
 
 @pytest.fixture(params=["memory", "sqlite", "postgres"])
@@ -333,7 +328,7 @@ def storage(request, tmp_path):
 
 def test_one_study_that_many_threads_ask_tell_and_read_misses_no_row(storage, request):
     study = created(
-        WIDE, budget=MANY, bounds=(0.0, 1.0), strategy="random", storage=storage,
+        SPACE, budget=N, bounds=(0.0, 1.0), strategy="random", storage=storage,
         name=request.node.name,
     )  # fmt: skip
     begin = threading.Barrier(THREADS)
@@ -343,29 +338,29 @@ def test_one_study_that_many_threads_ask_tell_and_read_misses_no_row(storage, re
         with contextlib.suppress(StudyFinished):
             while True:
                 pick = study.ask()
-                assert study.tell(pick, row_of(pick.context), policy_object=pick.source)
+                assert study.tell(pick, row(pick.source), policy_object=pick.source)
                 assert study.value > 0.0
                 assert len(study.trainings) > pick.number
 
     with ThreadPoolExecutor(THREADS) as threads:
         list(threads.map(work, range(THREADS)))
     rows = study.state.rows
-    assert sorted(row.source for row in rows) == list(range(MANY))
-    assert [study.policies[place] for place in range(MANY)] == [row.source for row in rows]
-    for row in rows:
-        np.testing.assert_array_equal(row.returns, row_of(WIDE.context(row.source)))
+    assert sorted(one.source for one in rows) == list(range(N))
+    assert [study.policies[place] for place in range(N)] == [one.source for one in rows]
+    for one in rows:
+        np.testing.assert_array_equal(one.returns, row(one.source))
     if storage is not None:
         assert mbtl.load_study(storage, study.name).value == study.value
 
 
 def test_what_was_decided_is_written_after_the_state_that_it_was_decided_on():
     """A row told by another thread between deciding and writing would pass for known."""
-    study = created(WIDE, budget=3, bounds=(0.0, 1.0), strategy="random")
+    study = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="random")
     (first, second), other = study.ask(2), None
 
     def slow(state):
         nonlocal other
-        other = threading.Thread(target=study.tell, args=(second, row_of(second.context)))
+        other = threading.Thread(target=study.tell, args=(second, row(second.source)))
         other.start()
         other.join(0.05)
         return mbtl.study.events.Event("released", {"pick": first.number, "rows": len(state.rows)})

@@ -1,6 +1,5 @@
 """What people ask a study for: its trainings as lines, what a run gave, ending early."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -76,9 +75,7 @@ class Ends(mbtl.Callback):
 def test_a_callback_ends_a_run_and_the_next_one_goes_on(tmp_path, parallel):
     study = study_of(tmp_path / "s.db")
     options = {"trainer": quick_problem.TRAINER, "progress": False, "report": False}
-    with ThreadPoolExecutor(2) as pool:
-        how = {"parallel": parallel, "executor": pool, "callbacks": [Ends(1)]}
-        stopped = ran(study, **options, **how)
+    stopped = ran(study, threads=parallel, callbacks=[Ends(1)], **options)
     assert stopped.stop_reason == "enough for today"
     assert len(stopped.curve) == len(study.state.picks) == parallel
     assert not study.is_finished

@@ -7,7 +7,7 @@ import pytest
 from line_problem import line, train
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.episodes import episode_moments
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.history import History
@@ -113,12 +113,12 @@ def test_an_episode_that_crashed_costs_one_episode():
 
 @pytest.mark.parametrize("selector", ["auto", "mbtl", "mbtl-ei", "gp-mbtl", "random"])
 def test_a_context_where_all_crashed_is_missing_and_the_study_goes_on(selector):
-    study = study_of(strategy=selector)
-    for _ in range(3):
-        pick = study.ask()
-        returns = 1.0 - np.abs(X[:, None] - X[pick.source]) + np.zeros((60, 4))
-        returns[pick.source] = np.nan  # even where it was trained
-        study.tell(pick, returns)
+    def crashed(source):
+        returns = 1.0 - np.abs(X[:, None] - X[source]) + np.zeros((60, 4))
+        returns[source] = np.nan  # even where it was trained
+        return returns
+
+    study = told(study_of(strategy=selector), crashed, 3)
     assert [int(np.isnan(row.returns).sum()) for row in study.state.rows] == [1, 1, 1]
     assert study.ask().number == 3
     assert np.isfinite(study.value)

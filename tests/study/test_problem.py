@@ -110,17 +110,15 @@ class Last:
 """
 
 
-def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    (tmp_path / "own_selector.py").write_text(OWN)
+def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(folder):
+    (folder / "own_selector.py").write_text(OWN)
     reference = "own_selector.py:Last"
     study = problem().study(strategy=reference, storage="s.db").run(report=False).study
     assert study.history.sources == (8, 7, 6)
     with pytest.raises(StudyError, match=r"'last'; give it as strategy='own_selector\.py:Last'"):
         mbtl.load_study("s.db")
     assert mbtl.load_study("s.db", strategy=reference).is_finished
-    elsewhere = f"{tmp_path}/own_selector.py:Last"  # the same, by another path
+    elsewhere = f"{folder}/own_selector.py:Last"  # the same, by another path
     assert problem().study(strategy=elsewhere, storage="s.db", load_if_exists=True).is_finished
     changed = study.selector.__class__(back=2)
     with pytest.raises(StudyMismatch, match="back"):

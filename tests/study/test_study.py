@@ -7,7 +7,7 @@ import pytest
 from line_problem import line
 
 import mbtl
-from flat import created
+from flat import created, told
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL
@@ -20,13 +20,6 @@ SPACE = line(N)
 
 def row(source, theta=0.02):
     return 0.9 - theta * np.abs(source - np.arange(N))
-
-
-def told(study, picks):
-    for _ in range(picks):
-        pick = study.ask()
-        study.tell(pick, row(pick.source))
-    return study
 
 
 def new(tmp_path=None, **settings):
@@ -44,15 +37,15 @@ def test_the_training_seed_belongs_to_the_source_not_to_the_pick():
 
 
 def test_a_study_loaded_again_goes_on_the_same(tmp_path):
-    undisturbed = told(new(), 6)
-    told(new(tmp_path), 3)
-    resumed = told(mbtl.load_study(tmp_path), 3)
+    undisturbed = told(new(), row, 6)
+    told(new(tmp_path), row, 3)
+    resumed = told(mbtl.load_study(tmp_path), row, 3)
     assert [p.source for p in resumed.state.picks] == [p.source for p in undisturbed.state.picks]
     assert np.array_equal(resumed.curve, undisturbed.curve)
 
 
 def test_a_budget_of_trainings_or_of_cost_ends_the_study():
-    study = told(new(budget=3), 3)
+    study = told(new(budget=3), row, 3)
     assert study.is_finished
     with pytest.raises(StudyFinished, match="budget of 3 trainings is spent"):
         study.ask()
@@ -90,7 +83,7 @@ def test_telling_a_source_that_is_pending_answers_its_pick():
     ],
 )
 def test_unusable_returns_are_refused_and_the_pick_stays_open(returns, words):
-    study = told(new(), 1)
+    study = told(new(), row, 1)
     pick = study.ask()
     before = study.state.seq
     with pytest.raises(TrainingFailed, match=words if returns is not None else "shape|NaN"):
@@ -113,9 +106,7 @@ def test_minimising_picks_as_maximising_the_mirror():
 def test_automatic_bounds_move_with_the_rows_and_never_change_past_picks(tmp_path):
     study = new(tmp_path, bounds=None)
     rng = np.random.default_rng(0)
-    for _ in range(6):
-        pick = study.ask()
-        study.tell(pick, 1000 * row(pick.source) * rng.uniform(0.1, 3))
+    told(study, lambda source: 1000 * row(source) * rng.uniform(0.1, 3), 6)
     rows = np.array([r.returns for r in study.state.rows])
     assert (study.bounds.low, study.bounds.high) == (rows.min(), rows.max())
     again = mbtl.load_study(tmp_path)
@@ -192,7 +183,7 @@ def test_ask_gives_several_picks_that_differ():
 
 def test_costs_known_before_keep_the_study_within_its_budget():
     study = new(strategy="auto", costs=lambda c: 1.0 + 9.0 * (c["x"] > 0.5), cost_budget=12.5)
-    told(study, 4)
+    told(study, row, 4)
     dear = [source >= 10 for source in study.history.sources]
     assert [r.cost for r in study.state.rows] == [10.0 if d else 1.0 for d in dear]
     assert study.state.cost <= 12.5
@@ -224,7 +215,7 @@ def test_policies_evaluated_on_a_few_targets_only():
 
 def test_a_study_of_the_worst_share_values_it():
     study = new(strategy="auto", risk=0.1)
-    told(study, 3)
+    told(study, row, 3)
     best = np.max([row(s) for s in study.history.sources], axis=0)
     assert study.value == pytest.approx(np.sort(best)[:2].mean())
 
@@ -232,7 +223,7 @@ def test_a_study_of_the_worst_share_values_it():
 def test_the_study_ends_when_all_that_is_left_is_predicted_to_gain_little(tmp_path):
     study = new(tmp_path, strategy="auto", budget=20, stop_left=0.02, stop_confidence=0.8)
     with pytest.raises(StudyFinished, match=r"left together gain less than 0\.02"):
-        told(study, 20)
+        told(study, row, 20)
     done = len(study.state.rows)
     assert 1 < done < 15
     assert study.is_finished
@@ -250,11 +241,11 @@ def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
     assert study.history.errors == pytest.approx(
         episodes.std(axis=1, ddof=1) / np.sqrt(3) / 2.0 * np.ones((1, N))
     )
-    assert told(new(), 1).history.errors is None
+    assert told(new(), row, 1).history.errors is None
 
 
 def test_a_failed_pick_takes_back_what_was_predicted_with_it():
-    study = told(new(strategy="auto", budget=20, stop_left=0.02, stop_confidence=0.8), 2)
+    study = told(new(strategy="auto", budget=20, stop_left=0.02, stop_confidence=0.8), row, 2)
     pick = study.ask()
     study._commit(lambda state: Event("stopped", {"reason": "it seemed so"}))
     assert study.stop_reason == "it seemed so"
@@ -281,20 +272,13 @@ def test_a_pick_told_by_its_context_has_the_targets_it_was_asked_with():
 
 
 def test_portfolio_and_study_agree_on_rows_that_are_partial():
-    study = told_partly(new(strategy="auto", eval_targets=5), 4)
+    study = told(new(strategy="auto", eval_targets=5), row, 4)
     portfolio = study.portfolio()
     assert portfolio.value == pytest.approx(study.value)
     assert portfolio.routing.route.tolist() == study.routing.route.tolist()
     assert portfolio.routing.believed == pytest.approx(study.routing.believed)
     shown = portfolio.explain(SPACE.context(1))
     assert shown.basis == "predicted"
-
-
-def told_partly(study, picks):
-    for _ in range(picks):
-        pick = study.ask()
-        study.tell(pick, row(pick.source)[list(pick.targets)])
-    return study
 
 
 @pytest.mark.parametrize(
@@ -373,11 +357,8 @@ def test_a_study_ends_where_v_is_as_large_as_it_can_be():
 
 
 def test_a_study_goes_on_while_other_contexts_promise_something():
-    study = study_of(stop_left=0.005)
-    for _ in range(4):
-        pick = study.ask()
-        reach = 450.0 * np.exp(-np.square((np.arange(N) - pick.source) / 1.5))
-        study.tell(pick, np.repeat(reach[:, None], 2, axis=1))
+    study, place = study_of(stop_left=0.005), np.arange(N)[:, None] * np.ones(2)
+    told(study, lambda source: 450.0 * np.exp(-np.square((place - source) / 1.5)), 4)
     assert study.stop_reason is None
     study.ask()
 

@@ -12,21 +12,8 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from training_envs import (
-    Broken,
-    Dies,
-    Gone,
-    Guess,
-    GuessBits,
-    GuessDict,
-    GuessPair,
-    MaskedGuess,
-    NanAfter,
-    NanReward,
-    cartpole,
-    pendulum,
-    same,
-)
+import training_envs as envs
+from training_envs import cartpole, pendulum, same
 
 from mbtl.envs.rollout import Actor, Job, play
 from mbtl.errors import (
@@ -64,7 +51,7 @@ def trained():
 def test_exploration_does_not_draw_the_numbers_of_the_environment():
     shown, chosen = [], []
 
-    class Coins(Guess):
+    class Coins(envs.Guess):
         def _next(self):
             shown.append(int(self.np_random.integers(2)))
             return np.zeros(1, np.float32)
@@ -81,7 +68,7 @@ def test_exploration_does_not_draw_the_numbers_of_the_environment():
 
 
 def test_training_learns():
-    trainer = ppo(Guess, timesteps=1536, hyperparameters={**SHORT, "learning_rate": 0.01})
+    trainer = ppo(envs.Guess, timesteps=1536, hyperparameters={**SHORT, "learning_rate": 0.01})
     returns = trainer.evaluate(trainer.train([{"length": 20}], 0).policy, [{"length": 20}], [1])
     assert returns.mean() >= 18  # always right: 20, blind guessing: 10
 
@@ -151,7 +138,7 @@ def test_progress_tells_the_score_where_policies_are_judged_by_one():
 def test_training_environments_are_closed_also_after_an_error():
     made = []
 
-    class Tracked(Broken):
+    class Tracked(envs.Broken):
         def __init__(self, context):
             super().__init__(context)
             made.append(self)
@@ -165,7 +152,7 @@ def test_training_environments_are_closed_also_after_an_error():
 def test_contexts_of_one_physics_are_evaluated_in_episodes_of_their_own():
     """Else their luck is common, and never averages out in V."""
 
-    class Draw(Guess):
+    class Draw(envs.Guess):
         def points(self, action):
             return self.number[0]
 
@@ -269,10 +256,10 @@ def test_numpy_copy_and_torch_give_the_same_returns(trained):
 @pytest.mark.parametrize(
     ("make_env", "algorithm", "error", "words"),
     [
-        (NanAfter, "PPO", TrainingFailed, "NaN by step"),
-        (NanReward, "DQN", TrainingFailed, "finite weights"),
-        (Broken, "PPO", RuntimeError, "lost its connection"),  # as it is
-        (Gone, "PPO", SimulationFailed, "end of a process"),
+        (envs.NanAfter, "PPO", TrainingFailed, "NaN by step"),
+        (envs.NanReward, "DQN", TrainingFailed, "finite weights"),
+        (envs.Broken, "PPO", RuntimeError, "lost its connection"),  # as it is
+        (envs.Gone, "PPO", SimulationFailed, "end of a process"),
     ],
 )
 def test_a_training_that_breaks_says_why(make_env, algorithm, error, words):
@@ -282,9 +269,9 @@ def test_a_training_that_breaks_says_why(make_env, algorithm, error, words):
 
 
 def test_nan_return_is_a_failed_evaluation():
-    model = ppo(Guess, timesteps=64).train([{}], 0).policy
+    model = ppo(envs.Guess, timesteps=64).train([{}], 0).policy
     with pytest.raises(TrainingFailed, match="finite and within"):
-        ppo(NanReward).evaluate(model, [{}], [0])
+        ppo(envs.NanReward).evaluate(model, [{}], [0])
 
 
 @pytest.mark.parametrize(
@@ -354,14 +341,14 @@ def test_missing_library_names_the_extra(monkeypatch):
         ("SAC", pendulum, "MlpPolicy", {"learning_starts": 100, "buffer_size": 1000}),
         ("ARS", cartpole, "LinearPolicy", {"n_delta": 2}),
         ("RecurrentPPO", cartpole, "MlpLstmPolicy", SHORT),
-        ("MaskablePPO", MaskedGuess, "MlpPolicy", SHORT),
-        ("PPO", GuessPair, "MlpPolicy", SHORT),
-        ("PPO", GuessBits, "MlpPolicy", SHORT),
-        ("PPO", GuessDict, "MultiInputPolicy", SHORT),
+        ("MaskablePPO", envs.MaskedGuess, "MlpPolicy", SHORT),
+        ("PPO", envs.GuessPair, "MlpPolicy", SHORT),
+        ("PPO", envs.GuessBits, "MlpPolicy", SHORT),
+        ("PPO", envs.GuessDict, "MultiInputPolicy", SHORT),
     ],
 )
 def test_algorithms_train_evaluate_save_and_load(algorithm, make_env, policy, settings, tmp_path):
-    algorithm = algorithm_class(algorithm) if make_env is GuessPair else algorithm
+    algorithm = algorithm_class(algorithm) if make_env is envs.GuessPair else algorithm
     context = {"length": 0.5, "mass": 1.0} if make_env in (cartpole, pendulum) else {"length": 5}
     trainer = ppo(
         make_env, timesteps=128, algorithm=algorithm, policy=policy, hyperparameters=settings,
@@ -438,7 +425,7 @@ def test_portfolio_of_trained_policies_works_without_torch(trained, tmp_path):
 def test_portfolio_without_a_numpy_copy_reads_the_zip_or_names_the_extra(tmp_path, monkeypatch):
     from mbtl.portfolio.archive import load_policy
 
-    trainer = ppo(GuessBits, timesteps=64)
+    trainer = ppo(envs.GuessBits, timesteps=64)
     trainer.save(trainer.train([{}], 0).policy, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.zip", "sb3.json"]
     loaded = load_policy(tmp_path, "sb3", None, trust=True)
@@ -461,7 +448,7 @@ def test_describing_a_trainer_imports_no_rl_library():
 @pytest.mark.long  # it loads torch anew
 def test_the_end_of_a_simulators_process_is_a_failed_training():
     trainer = SB3Trainer(
-        Dies, timesteps=64, processes=True, hyperparameters={"n_steps": 64, "batch_size": 64}
+        envs.Dies, timesteps=64, processes=True, hyperparameters={"n_steps": 64, "batch_size": 64}
     )
     with pytest.raises(SimulationFailed, match="end of a process"):
         trainer.train([{}], seed=0)

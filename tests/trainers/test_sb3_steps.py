@@ -104,8 +104,7 @@ def test_a_training_that_begins_from_another_model_acts_as_that_until_it_learns(
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "unit", "count"),
-    [("DQN", "timesteps", 1), ("PPO", "episodes", 2)],
+    ("algorithm", "unit", "count"), [("DQN", "timesteps", 1), ("PPO", "episodes", 2)]
 )
 def test_a_training_may_become_longer_than_a_unit(algorithm, unit, count, tmp_path):
     one, contexts = trainer(algorithm=algorithm), [POLE, {"length": 1.0}][:count]

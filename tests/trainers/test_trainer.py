@@ -42,14 +42,8 @@ def test_what_a_function_can_do_is_read_from_its_signature(train, takes):
 
 def test_a_function_is_given_what_it_takes():
     assert of(lambda context, seed: (context, seed)).train(ONE, 7).policy == (ONE[0], 7)
-    told = print
-    assert of(everything).train(TWO, 7, on_progress=told).policy == (
-        [1.0, 2.0],
-        7,
-        None,
-        None,
-        told,
-    )
+    made = of(everything).train(TWO, 7, on_progress=print).policy
+    assert made == ([1.0, 2.0], 7, None, None, print)
     asked = {"start": "policy", "length": 0.5, "state": Path("nowhere")}
     assert of(everything).train(ONE, 7, **asked) == Trained(([1.0], 7, "policy", 0.5, None))
 
@@ -87,11 +81,7 @@ def test_a_function_may_change_its_start_in_its_place():
         ({"x": 1.0}, {}, r"a list of contexts, got one by itself, \{'x': 1\.0\}; write train"),
         (TWO, {}, "one policy on several contexts"),
         (ONE, {"start": 0}, "begin with the weights of a policy"),
-        (
-            ONE,
-            {"length": 0.5},
-            r"for a length .* is train\(context, seed\); give train",
-        ),
+        (ONE, {"length": 0.5}, r"for a length .* is train\(context, seed\); give train"),
     ],
 )
 def test_what_a_function_does_not_take_is_refused(contexts, asked, said):

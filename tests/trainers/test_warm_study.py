@@ -10,7 +10,7 @@ import mbtl
 from flat import created, ran
 from mbtl.problems import get_cmdp
 from mbtl.trainers import SB3Trainer
-from warm import Stops, Warm
+from warm import WARM, Stops
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("length", 0.3, 1.0): 5})
 PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
@@ -30,7 +30,7 @@ def opened(engine, folder):
         trainer = SB3Trainer(cartpole, timesteps=256, hyperparameters=PPO, eval_episodes=1)
         options = {"trainer": trainer, "bounds": (0.0, 200.0)}
     return created(
-        problem, budget=8, strategy=Warm(), seed=4, load_if_exists=True,
+        problem, budget=8, strategy=WARM, seed=4, load_if_exists=True,
         storage=folder / "study.db", **options,
     )  # fmt: skip
 

@@ -1,7 +1,6 @@
 """The worked example of docs/add-a-family.md runs as it stands there."""
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +13,16 @@ PAGE = Path(__file__).parents[3] / "docs" / "add-a-family.md"
 
 
 @pytest.fixture
-def problem(tmp_path, monkeypatch):
+def problem(folder, monkeypatch):
     """What the blocks of the page define, each in the file that its first line names."""
     blocks = re.findall(r"```python\n# (\w+\.py)(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     assert [name for name, _ in blocks] == ["cruise.py", "cruise_problem.py"]
     for name, text in blocks:
-        (tmp_path / name).write_text(f"#{text}", "utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
+        (folder / name).write_text(f"#{text}", "utf-8")
+    monkeypatch.syspath_prepend(folder)
     import cruise_problem
 
-    yield cruise_problem.problem
-    for name, _ in blocks:
-        del sys.modules[name.removesuffix(".py")]
+    return cruise_problem.problem
 
 
 def test_a_family_of_one_file_is_trained_and_evaluated_on_all_contexts(problem, tmp_path):

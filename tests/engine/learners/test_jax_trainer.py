@@ -29,17 +29,16 @@ CONTEXTS = [{"length": 0.5}, {"length": 2.0}]
 
 def test_the_named_recipes_never_change():
     """Matrices name them in their provenance: improve one by adding another name."""
-    fast = engine.recipe_named("PPO", "fast")
-    assert fast == engine.PPORecipe(
-        n_envs=8, n_steps=128, batch_size=128, n_epochs=1, learning_rate=2e-3, anneal=True,
+    both = engine.PPORecipe(
         gamma=0.99, gae_lambda=0.95, clip_range=0.2, entropy_coef=0.0, value_coef=0.5,
         max_grad_norm=0.5, adam_eps=1e-5, normalize_advantage=True, hidden=(64, 64),
     )  # fmt: skip
-    assert engine.recipe_named("PPO", "sb3") == engine.PPORecipe(
-        n_envs=1, n_steps=2048, batch_size=64, n_epochs=10, learning_rate=3e-4, anneal=False,
-        gamma=0.99, gae_lambda=0.95, clip_range=0.2, entropy_coef=0.0, value_coef=0.5,
-        max_grad_norm=0.5, adam_eps=1e-5, normalize_advantage=True, hidden=(64, 64),
-    )  # fmt: skip
+    for name, own in (
+        ("fast", (8, 128, 128, 1, 2e-3, True)), ("sb3", (1, 2048, 64, 10, 3e-4, False)),
+    ):  # fmt: skip
+        fields = ("n_envs", "n_steps", "batch_size", "n_epochs", "learning_rate", "anneal")
+        known = replace(both, **dict(zip(fields, own, strict=True)))
+        assert engine.recipe_named("PPO", name) == known
 
 
 def test_it_is_the_default_where_there_is_an_environment_in_jax():
@@ -135,29 +134,18 @@ def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
 
 
 def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
-    building = Build(
-        TRAINER,
-        ContextSpace.points(CMDP.space.axes, CONTEXTS),
-        7,
-        tmp_path / "work",
-        {},
-        ("best",),
-        lanes=1,
-    )
+    space = ContextSpace.points(CMDP.space.axes, CONTEXTS)
+    building = Build(TRAINER, space, 7, tmp_path / "work", {}, ("best",), lanes=1)
     building.run()
-    study = created(
-        building.space, budget=2, seed=7, bounds=(0, 500), storage=tmp_path / "study.db"
-    )
+    study = created(space, budget=2, seed=7, bounds=(0, 500), storage=tmp_path / "study.db")
     study.run(trainer=TRAINER, report=False)
     returns = building.returns("best").mean(axis=2)
     for row in study.state.rows:
         np.testing.assert_allclose(row.returns, returns[row.source])
     policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001-*")))
     assert same_policy(policy, TRAINER.train([CONTEXTS[1]], training_seed(7, 0, 1)).policy)
-    np.testing.assert_allclose(
-        TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2))).mean(axis=1),
-        returns[1],
-    )
+    again = TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2)))
+    np.testing.assert_allclose(again.mean(axis=1), returns[1])
 
 
 def test_an_untrained_policy_shows_that_evaluation_works():

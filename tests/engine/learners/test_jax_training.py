@@ -55,16 +55,11 @@ def test_saved_arrays_of_another_training_are_refused():
 def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
     bests = []
     # as shipped: without annealing some seeds fall back, and which do depends on the processor
+    recipe, params = replace(RECIPE["cartpole"], anneal=True), cartpole_params([0.5, 0.5])
     training = engine.train(
-        CARTPOLE,
-        replace(RECIPE["cartpole"], anneal=True),
-        [0, 1],
-        cartpole_params([0.5, 0.5]),
-        120_000,
-        checkpoint_every=20_000,
-        checkpoint_episodes=5,
+        CARTPOLE, recipe, [0, 1], params, 120_000, checkpoint_every=20_000, checkpoint_episodes=5,
         on_block=lambda b: bests.append(np.array(b.training.best_return)),
-    )
+    )  # fmt: skip
     assert (np.diff(bests, axis=0) >= 0).all()
     assert (bests[-1] >= 400).all()
     assert (bests[-1] >= np.asarray(training.latest_return)).all()

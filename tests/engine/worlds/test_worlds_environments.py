@@ -13,35 +13,26 @@ from mbtl.zoo.cmdps import cartpole, pendulum
 from mbtl.zoo.worlds import CartPole, Pendulum
 
 
-def cartpole_corners():
-    """Corners of the paper's grids; the reference's frozen masses at the nominal and two others."""
-    grids = {"masscart": (0.1, 10.0), "masspole": (0.01, 1.0), "length": (0.05, 5.0)}
-    corners = [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
-    return [(c, p) for c in corners for p in ("intended", "reference")]
-
-
-def pendulum_corners():
-    grids = {"timestep": (0.005, 0.5), "mass": (0.1, 10.0), "length": (0.1, 10.0)}
-    return [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
+def corners(**ends):
+    """Of the paper's grids."""
+    return [dict(zip(ends, values, strict=True)) for values in product(*ends.values())]
 
 
 def cartpole_pairs():
-    """(Gymnasium environment, constants) per corner."""
-    for context, physics in cartpole_corners():
-        env = cartpole.CartPole(context, physics=physics)
-        yield env, cartpole.derive(env.features, physics)
+    """(Gymnasium environment, constants) per corner, by the intended physics and by the frozen."""
+    for context in corners(masscart=(0.1, 10.0), masspole=(0.01, 1.0), length=(0.05, 5.0)):
+        for physics in ("intended", "reference"):
+            env = cartpole.CartPole(context, physics=physics)
+            yield env, cartpole.derive(env.features, physics)
 
 
 def pendulum_pairs():
-    for context in pendulum_corners():
+    for context in corners(timestep=(0.005, 0.5), mass=(0.1, 10.0), length=(0.1, 10.0)):
         env = pendulum.Pendulum(context)
         yield env, pendulum.derive(env.features)
 
 
-FAMILIES = {
-    "cartpole": (CartPole(), cartpole_pairs),
-    "pendulum": (Pendulum(), pendulum_pairs),
-}
+FAMILIES = {"cartpole": (CartPole(), cartpole_pairs), "pendulum": (Pendulum(), pendulum_pairs)}
 
 
 def random_actions(name, rng, n):

@@ -4,18 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
-
-from mbtl.errors import InvalidInput
-from mbtl.zoo.cli.bench import bench
-
-app = typer.Typer()
-app.command()(bench)
-
-
-def run(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 @pytest.fixture
@@ -25,13 +13,11 @@ def matrix_file(tmp_path):
     return path
 
 
-def test_json_is_one_document_on_standard_output(matrix_file):
-    result = run(
-        "--matrix", matrix_file, "--matrix", "synthetic:linear-gap",
-        "--selectors", "random, greedy,oracle", "--budget", 5, "--seeds", 2, "--json",
+def test_json_is_one_document_on_standard_output(mbtl_command, matrix_file):
+    document = mbtl_command.document(
+        "bench", "--matrix", matrix_file, "--matrix", "synthetic:linear-gap",
+        "--selectors", "random, greedy,oracle", "--budget", 5, "--seeds", 2,
     )  # fmt: skip
-    assert result.exit_code == 0
-    document = json.loads(result.stdout)
     assert [entry["matrix"] for entry in document["results"]].count(str(matrix_file)) == 2 * 4
     assert list(document["results"][0]) == [
         "matrix", "matrix_seed", "selector", "seed", "theta", "sources", "performance",
@@ -41,21 +27,19 @@ def test_json_is_one_document_on_standard_output(matrix_file):
     assert set(document["summary"]["pooled"]) == {"random", "greedy", "oracle"}
 
 
-def test_tables_name_every_selector_and_out_keeps_the_document(matrix_file, tmp_path):
-    out = tmp_path / "result.json"
-    result = run("--matrix", matrix_file, "--budget", 4, "--seeds", 1, "--out", out)
-    assert result.exit_code == 0
-    for name in ("mbtl", "mbtl-release", "worst-first", "oracle"):
-        assert name in result.stdout
-    assert "Oracle Transfer" in result.stdout
-    assert "[" in result.stdout.split("mbtl-release")[1]  # the interval is printed, not eaten
-    assert "mbtl" in json.loads(out.read_text())["summary"]["pooled"]
+def test_tables_name_every_selector_and_out_keeps_the_document(mbtl_command, matrix_file, tmp_path):
+    few = ("--budget", 4, "--seeds", 1, "--out", "result.json")
+    said = mbtl_command.done("bench", "--matrix", matrix_file, *few)
+    for name in ("mbtl", "mbtl-release", "worst-first", "oracle", "Oracle Transfer"):
+        assert name in said
+    assert "[" in said.split("mbtl-release")[1]  # the interval is printed, not eaten
+    assert "mbtl" in json.loads((tmp_path / "result.json").read_text())["summary"]["pooled"]
 
 
-def test_other_bounds_are_another_scale_of_the_same_returns(matrix_file):
+def test_other_bounds_are_another_scale_of_the_same_returns(mbtl_command, matrix_file):
     def performance(*more):
-        few = ("--matrix", matrix_file, "--selectors", "greedy", "--budget", 3, "--json")
-        document = json.loads(run(*few, *more).stdout)
+        few = ("bench", "--matrix", matrix_file, "--selectors", "greedy", "--budget", 3)
+        document = mbtl_command.document(*few, *more)
         return np.array([entry["performance"] for entry in document["results"]])
 
     returns = np.load(matrix_file)["returns"]
@@ -66,16 +50,12 @@ def test_other_bounds_are_another_scale_of_the_same_returns(matrix_file):
 
 
 @pytest.mark.parametrize("bounds", ["1", "a,b", "2,1", "0,nan"])
-def test_bounds_that_are_none_are_refused(matrix_file, bounds):
-    result = run("--matrix", matrix_file, "--budget", 3, "--bounds", bounds)
-    assert isinstance(result.exception, InvalidInput)
+def test_bounds_that_are_none_are_refused(mbtl_command, matrix_file, bounds):
+    asked = ("bench", "--matrix", matrix_file, "--budget", 3, "--bounds", bounds)
+    assert "bounds" in mbtl_command.refusal(*asked)
 
 
-def test_errors_are_the_librarys_own(matrix_file, tmp_path):
-    result = run("--matrix", "absent.npz")
-    assert isinstance(result.exception, InvalidInput)
-    few = ("--matrix", matrix_file, "--selectors", "greedy", "--budget", 3)
-    result = run(*few, "--out", tmp_path / "no" / "x")
-    assert isinstance(result.exception, InvalidInput)  # said before the work, not after
-    result = run(*few, "--out", tmp_path)
-    assert isinstance(result.exception, InvalidInput)  # a folder is no file
+@pytest.mark.parametrize("place", ["no/x", "."])  # a folder is no file
+def test_where_nothing_can_be_written_is_said_before_the_work(mbtl_command, matrix_file, place):
+    few = ("bench", "--matrix", matrix_file, "--selectors", "greedy", "--budget", 3)
+    assert "--out" in mbtl_command.refusal(*few, "--out", place)

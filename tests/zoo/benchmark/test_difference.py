@@ -1,10 +1,7 @@
 """The lead of one selector over another: paired, with an interval per question."""
 
-import json
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from mbtl.errors import UnknownName
 from mbtl.zoo.benchmark.base import Levels
@@ -83,17 +80,13 @@ def test_numbers_of_a_summary_are_short_to_read():
     assert repr(never) == "(1 of 1 seeds did not get there; by seed: never)"
 
 
-def test_bench_shows_and_writes_the_difference_that_was_asked_for(monkeypatch, tmp_path):
-    from mbtl.cli.app import app
-
-    path = tmp_path / "mine.npz"
-    np.savez(path, returns=np.random.default_rng(0).normal(size=(2, 10, 10)))
-    asked = ["bench", "--matrix", str(path), "--selectors", "greedy", "--budget", "4"]
+def test_bench_shows_and_writes_the_difference_that_was_asked_for(mbtl_command, monkeypatch):
+    np.savez("mine.npz", returns=np.random.default_rng(0).normal(size=(2, 10, 10)))
+    asked = ("bench", "--matrix", "mine.npz", "--selectors", "greedy", "--budget", 4)
     monkeypatch.setenv("COLUMNS", "120")
-    shown = CliRunner().invoke(app, [*asked, "--against", "mbtl"]).stdout
+    shown = mbtl_command.done(*asked, "--against", "mbtl")
     assert "less mbtl, on the same seeds" in shown
     assert "of 2" in shown
-    written = CliRunner().invoke(app, [*asked, "--against", "mbtl", "--json"]).stdout
-    (found,) = json.loads(written)["differences"]
+    (found,) = mbtl_command.document(*asked, "--against", "mbtl")["differences"]
     assert (found["selector"], found["against"]) == ("greedy", "mbtl")
-    assert "differences" not in json.loads(CliRunner().invoke(app, [*asked, "--json"]).stdout)
+    assert "differences" not in mbtl_command.document(*asked)

@@ -8,13 +8,7 @@ import pytest
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.routing import last_route, routes
 from mbtl.selectors import Traits
-from mbtl.zoo.benchmark import (
-    TransferMatrix,
-    compare,
-    levels,
-    random_curve,
-    sequential_oracle,
-)
+from mbtl.zoo.benchmark import TransferMatrix, compare, levels, random_curve, sequential_oracle
 
 SEEN = np.array([[0.9, 0.1, 0.3], [0.2, 0.8, 0.3], [0.2, 0.8, 0.3]])
 FRESH = np.array([[0.5, 0.6, 0.0], [0.7, 0.4, 0.1], [0.0, 0.3, 0.2]])

@@ -1,16 +1,10 @@
 """Transfer data: trainings of every kind, built in parts, and their files."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-
-from mbtl.cli.app import app
 from mbtl.errors import InvalidInput, StorageError, UnknownName
 from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
@@ -109,25 +103,20 @@ def test_an_interrupted_build_goes_on_where_it_was(built, tmp_path, monkeypatch)
         np.testing.assert_array_equal(mine.network[0][0], theirs.network[0][0])
 
 
-def test_the_command_builds_the_kinds_asked_for_in_their_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_builds_the_kinds_asked_for_in_their_folder(mbtl_command, monkeypatch):
     monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0, 2.0))
-    given = (
-        "matrix build pendulum-length --with pendulum-mass --preset quick --every 50 --lanes 100"
-    )
-    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --json --until 1 --kinds"
-    first = CliRunner().invoke(app, [*given.split(), *own.split(), "generalists"])
-    assert "build the kind specialists" in str(first.exception)  # no matrix of such a recipe
-    other = CliRunner().invoke(app, [*given.split(), *own.split(), "all", "--lanes", "1"])
-    assert "holds transfer data" in str(other.exception)
-    there = CliRunner().invoke(app, [*given.split(), *own.split(), "specialists"])
-    one, _ = json.loads(there.stdout)["transfers"]
+    given = "matrix build pendulum-length --with pendulum-mass --preset quick --every 50"
+    own = "--lanes 100 --timesteps 2048 --eval-episodes 2 --seeds 1 --until 1 --kinds"
+    build = (*given.split(), *own.split())
+    first = mbtl_command.refusal(*build, "generalists")  # no matrix of such a recipe
+    assert "build the kind specialists" in first
+    assert "holds transfer data" in mbtl_command.refusal(*build, "all", "--lanes", 1)
+    one, _ = mbtl_command.document(*build, "specialists")["transfers"]
     assert one["kinds"] == ["generalists", "specialists"]
     data = load_transfers("pendulum-length", folder="matrices/transfers")
     assert (list(data.generalists), data.tuned) == ([1.0], {})
     assert "--kinds generalists,specialists --until 1.0" in data.provenance[0]["command"]
-    longer = CliRunner().invoke(app, [*given.split(), *own.split(), "generalists", "--until", "2"])
-    assert longer.exit_code == 0
+    mbtl_command.done(*build, "generalists", "--until", 2)
     longer = load_transfers("pendulum-length", folder="matrices/transfers")
     assert list(longer.generalists) == [1.0, 2.0]
     np.testing.assert_array_equal(longer.generalists[1.0], data.generalists[1.0])

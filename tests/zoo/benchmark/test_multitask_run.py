@@ -5,10 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("mujoco", reason="the envs extra is not installed")
-pytest.importorskip("Box2D", reason="the envs extra is not installed")
-
 import mbtl.engine.learners as engine
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp

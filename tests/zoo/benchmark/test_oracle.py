@@ -7,10 +7,7 @@ import pytest
 
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput
-from mbtl.zoo.benchmark import (
-    TransferMatrix,
-    sequential_oracle,
-)
+from mbtl.zoo.benchmark import TransferMatrix, sequential_oracle
 from mbtl.zoo.benchmark import oracle as oracle_module
 from mbtl.zoo.benchmark.oracle import random_weights
 

@@ -1,7 +1,5 @@
 """Replay of strategies on transfer data: what is asked for is rounded, charged and answered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

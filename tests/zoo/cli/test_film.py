@@ -1,7 +1,5 @@
 """Films say clock, speed and score, and stand beside unguided traffic."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -106,8 +104,7 @@ def test_every_family_that_is_drawn_makes_a_film(mbtl_command, tmp_path, id):
     pytest.importorskip("gymnasium", reason="the envs extra is not installed")
     pytest.importorskip("Box2D", reason="the envs extra is not installed")
     pytest.importorskip("mujoco", reason="the envs extra is not installed")
-    code, out, err = mbtl_command("play", id, "--film", tmp_path / "film.gif")
-    assert code == 0, err
+    out = mbtl_command.done("play", id, "--film", tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as film:
         assert 5 < film.n_frames <= int(out.split(" pictures")[0].split()[-1])
         first = np.asarray(film.convert("RGB"))
@@ -121,16 +118,12 @@ def test_what_is_played_are_the_episodes_in_which_a_study_evaluates(mbtl_command
 
     few = ("--budget", "1", "--timesteps", "64", "--eval-episodes", "2", "--eval-targets", "10")
     run = ("run", "pendulum-length", "--engine", "gymnasium", *few, "--no-report", "--study", "a")
-    assert mbtl_command(*run, "--seed", "3")[0] == 0
+    mbtl_command.done(*run, "--seed", "3")
     folder = tmp_path / "a" / "portfolio"
     portfolio = load_portfolio(folder, trust=True)
     place = int(np.flatnonzero(np.isfinite(portfolio.returns[0]))[0])
     at = f"length={portfolio.space.context(place)['length']!r}"
-    play = ("play", folder, "--trust", "--at", at, "--episodes", "2", "--json")
-    worth = {}
-    for seed in ("3", "4"):
-        code, out, _ = mbtl_command(*play, "--seed", seed)
-        assert code == 0
-        worth[seed] = np.mean(json.loads(out)["scores"])
-    assert worth["3"] == pytest.approx(portfolio.returns[0, place], rel=1e-5)
-    assert worth["4"] != pytest.approx(portfolio.returns[0, place], rel=1e-4)
+    play = ("play", folder, "--trust", "--at", at, "--episodes", "2", "--seed")
+    same, other = (np.mean(mbtl_command.document(*play, seed)["scores"]) for seed in "34")
+    assert same == pytest.approx(portfolio.returns[0, place], rel=1e-5)
+    assert other != pytest.approx(portfolio.returns[0, place], rel=1e-4)

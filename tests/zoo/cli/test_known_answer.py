@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 import pytest
+from quick_problem import load, save
 from typer.testing import CliRunner
 
 import mbtl
@@ -38,14 +39,6 @@ def evaluate(policy, contexts, seeds):
     mine = int(1e6 * abs(policy).sum())
     noise = np.array([np.random.default_rng([s, mine]).standard_normal(4) for s in seeds])
     return true_returns(policy, contexts)[:, None] + (0.1 + 0.02 * (mine % 11)) * noise
-
-
-def save(policy, folder):
-    np.save(folder / "policy.npy", policy)
-
-
-def load(folder):
-    return np.load(folder / "policy.npy")
 
 
 problem = mbtl.CMDP.from_functions(

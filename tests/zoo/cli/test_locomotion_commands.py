@@ -1,13 +1,7 @@
 """From training to a matrix that can be benched: every walker and cheetah, by real commands."""
 
-import json
-
 import numpy as np
 import pytest
-
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("mujoco", reason="the envs extra is not installed")
-pytest.importorskip("Box2D", reason="the envs extra is not installed")
 
 from mbtl.zoo.benchmark import load_matrix
 
@@ -22,21 +16,17 @@ LINES += [f"cheetah-{axis}" for axis in ("gravity", "friction", "stiffness")]
 def test_a_matrix_is_built_shown_and_benched(mbtl_command, id, every, n):
     build = ("matrix", "build", id, "--every", every, "--sources-every", n // 2 + 1, "--seeds", 1,
              "--timesteps", 2048, "--eval-episodes", 2)  # fmt: skip
-    code, _, err = mbtl_command(*build)
-    assert code == 0, err
+    mbtl_command.done(*build)
     matrix = load_matrix(id, f"every{every}", folder="matrices")
     assert matrix.returns.shape == (1, 2, n)
     assert len(np.unique(matrix.returns)) > n  # contexts act
     assert set(matrix.references) == {"random_actions", "unguided"}
     file = f"matrices/{id}-every{every}-seed0.npz"
-    code, out, err = mbtl_command("matrix", "show", file)
-    assert code == 0, err
-    assert "In the paper 0 is" in out
-    known = json.loads(mbtl_command("matrix", "show", file, "--json")[1])["seeds"][0]
+    assert "In the paper 0 is" in mbtl_command.done("matrix", "show", file)
+    known = mbtl_command.document("matrix", "show", file)["seeds"][0]
     assert known.keys() > {"random_actions", "unguided", "nominal_policy", "independent"}
     if id.startswith("walker"):  # standing still costs little, and random actions a fall
         assert known["unguided"] > known["random_actions"]
-    code, _, err = mbtl_command("bench", "--matrix", file, "--selectors", "random,mbtl,oracle",
+    mbtl_command.done("bench", "--matrix", file, "--selectors", "random,mbtl,oracle",
                                 "--budget", 2, "--bounds", "seen")  # fmt: skip
-    assert code == 0, err
     assert "there already" in mbtl_command(*build)[2]

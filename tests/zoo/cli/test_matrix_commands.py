@@ -64,11 +64,9 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
 
 def test_an_interrupted_build_goes_on(mbtl_command, problem):
     (problem / "stop").touch()
-    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
-    assert code == 130
-    assert "run the same command again" in err
+    assert "run the same command again" in mbtl_command.refusal(*BUILD, "--seeds", 1, code=130)
     (problem / "stop").unlink()
-    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    mbtl_command.done(*BUILD, "--seeds", 1)
     assert (problem / "trained.txt").read_text().split() == ["1", "2", "3", "4"]
     code, _, err = mbtl_command(*BUILD, "--seeds", 1)
     assert code == 0
@@ -82,22 +80,18 @@ def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_tra
     (problem / "kept.py").write_text(KEPT)
     build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
     again = (*build, "--evaluate-again", "--eval-episodes", 4)
-    code, _, err = mbtl_command(*again)
-    assert code == 2
-    assert "no policies were kept" in err
-    assert mbtl_command(*build)[0] == 0
+    assert "no policies were kept" in mbtl_command.refusal(*again)
+    mbtl_command.done(*build)
     assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
     (claim,) = problem.glob("runs/*/settings.json")
     older = json.loads(claim.read_text())
     del older["evaluation_seeds"]  # of before targets had their own: the policies are the same
     claim.write_text(json.dumps(older))
-    assert mbtl_command(*again)[0] == 0
+    mbtl_command.done(*again)
     evaluated = load_matrix("cartpole-length", folder=problem / "matrices")
     assert (evaluated.episodes, evaluated.evaluation_seeds) == ((2, 2), "per target")
     assert len((problem / "trained.txt").read_text().split()) == 4
-    code, _, err = mbtl_command(*again, "--timesteps", 7)
-    assert code == 2
-    assert "recipe.timesteps was 5, got 7" in err
+    assert "recipe.timesteps was 5, got 7" in mbtl_command.refusal(*again, "--timesteps", 7)
 
 
 KEPT = """
@@ -105,20 +99,17 @@ import json
 from dataclasses import dataclass
 import numpy as np
 from mbtl.problems import CMDP, Preset
-from mbtl.trainers import Trained
+from mbtl.trainers import Trained, Trainer
 from own import mine, train
 
 @dataclass(frozen=True)
-class Kept:
+class Kept(Trainer):
     timesteps: int = 5
     eval_episodes: int = 2
-    policy_format = "custom"
 
     @property
     def recipe(self):
         return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
-
-    takes, whole, counts = frozenset(), None, "steps"
 
     def train(self, contexts, seed, **asked):
         return Trained(train(contexts[0], seed))
@@ -159,22 +150,18 @@ def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeyp
     ],
 )
 def test_bad_input_says_what_to_do(mbtl_command, problem, arguments, complaint):
-    code, _, err = mbtl_command(*arguments)
-    assert code == 2
-    assert complaint in err
+    assert complaint in mbtl_command.refusal(*arguments)
 
 
 def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
-    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
-    code, out, _ = mbtl_command("matrix", "show", "matrices/cartpole-length-seed0.npz")
-    assert code == 0
+    mbtl_command.done(*BUILD, "--seeds", 1)
+    out = mbtl_command.done("matrix", "show", "matrices/cartpole-length-seed0.npz")
     assert "Performance 0 is a return of 0, 1 of 100" in out
     assert "same evaluation episodes" in " ".join(out.split())
     assert "Evaluation seeds are per target." in out
     assert "Evaluation seeds are common" in mbtl_command("matrix", "show", "cartpole-length")[1]
     assert mbtl_command("matrix", "list", "--folder", "matrices")[1].endswith("per target.\n")
-    code, out, _ = mbtl_command("matrix", "list", "--folder", "matrices", "--json")
-    (one,) = json.loads(out)["matrices"]
+    (one,) = mbtl_command.document("matrix", "list", "--folder", "matrices")["matrices"]
     said = (one["matrix"], one["measures_apart"], one["episodes"])
     assert said == ("cartpole-length", False, [1])
 
@@ -185,7 +172,7 @@ def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
 def test_show_numbers_seeds_as_their_provenance_does(mbtl_command, tmp_path, record, seeds):
     """But one number for two seeds says nothing."""
     TransferMatrix.of([np.eye(2)] * 2, provenance=record).save(tmp_path / "two.npz")
-    rows = json.loads(mbtl_command("matrix", "show", "two.npz", "--json")[1])["seeds"]
+    rows = mbtl_command.document("matrix", "show", "two.npz")["seeds"]
     assert [row["seed"] for row in rows] == seeds
 
 
@@ -200,28 +187,25 @@ def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path)
     assert "In the paper 0 is -200 and 1 is 10; returns here are -90 to 60." in out
     assert "its policy is that of the nearest, gravity 8." in out
     for bounds, value in (("-200,10", 193.33 / 210), ("seen", 83.33 / 150)):
-        shown = json.loads(
-            mbtl_command("matrix", "show", "walker.npz", "--bounds", bounds, "--json")[1]
-        )
+        shown = mbtl_command.document("matrix", "show", "walker.npz", "--bounds", bounds)
         assert shown["seeds"][0]["nominal_policy"] == pytest.approx(value, rel=1e-3)
-    code, _, err = mbtl_command("matrix", "show", "walker.npz", "--bounds", "high")
-    assert (code, "--bounds is LOW,HIGH or seen, got 'high'" in err) == (2, True)
+    said = mbtl_command.refusal("matrix", "show", "walker.npz", "--bounds", "high")
+    assert "--bounds is LOW,HIGH or seen, got 'high'" in said
     assert "-200..10" in mbtl_command("cmdps", "walker-gravity")[1]
 
 
 def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
-    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--every", 2)
-    assert code == 0, err
+    mbtl_command.done(*BUILD, "--seeds", 1, "--every", 2)
     matrix = load_matrix("cartpole-length", "every2", folder=problem / "matrices")
     assert matrix.space.values("length") == [1, 3]
     assert matrix.theta == 0.2
     assert "--every 2" in matrix.provenance["seeds"][0]["command"]
-    assert mbtl_command(*BUILD, "--every", 0)[0] == 2
+    mbtl_command.refusal(*BUILD, "--every", 0)
 
 
 def test_every_second_context_is_a_source(mbtl_command, problem):
     build = (*BUILD, "--seeds", 1, "--sources-every", 2)
-    assert mbtl_command(*build)[0] == 0
+    mbtl_command.done(*build)
     assert (problem / "trained.txt").read_text().split() == ["1", "3"]
     matrix = load_matrix("cartpole-length", folder=problem / "matrices")
     np.testing.assert_array_equal(matrix.sources, [0, 2])
@@ -229,15 +213,12 @@ def test_every_second_context_is_a_source(mbtl_command, problem):
     command = matrix.provenance["seeds"][0]["command"]
     assert command.endswith("--sources-every 2 --seeds 1 --first-seed 0")
     file = "matrices/cartpole-length-seed0.npz"
-    code, out, err = mbtl_command("matrix", "show", file)
-    assert (code, "Trained on 2 of the 4 contexts" in out) == (0, True), err
+    assert "Trained on 2 of the 4 contexts" in mbtl_command.done("matrix", "show", file)
     assert "2/4" in mbtl_command("matrix", "list", "--folder", "matrices")[1]
-    code, out, err = mbtl_command("bench", "--matrix", file, "--budget", 2)
-    assert code == 0, err
-    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
-    assert (code, "has 2 sources and this build 4" in err) == (2, True)
-    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--sources-every", 5)
-    assert (code, "--sources-every must be from 1" in err) == (2, True)
+    mbtl_command.done("bench", "--matrix", file, "--budget", 2)
+    assert "has 2 sources and this build 4" in mbtl_command.refusal(*BUILD, "--seeds", 1)
+    said = mbtl_command.refusal(*BUILD, "--seeds", 1, "--sources-every", 5)
+    assert "--sources-every must be from 1" in said
 
 
 @pytest.mark.parametrize(
@@ -257,10 +238,10 @@ def test_odd_provenance_breaks_no_command(mbtl_command, tmp_path, record):
     assert matrix.records[0].get("problem", "") == matrix.cmdp == ""
     commands = [("matrix", "show", "m.npz")]
     if "seeds" not in record or isinstance(record["seeds"], list):
-        bench = ("bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,specialists")
-        commands.append(bench)
+        commands.append(
+            ["bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,specialists"]
+        )
     if "nominal" in record:
         commands.append(("report", "m.npz"))
     for command in commands:
-        code, _, err = mbtl_command(*command)
-        assert code == 0, (command, err)
+        mbtl_command.done(*command)

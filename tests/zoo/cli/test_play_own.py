@@ -1,13 +1,8 @@
 """`mbtl play` of a user's own problem: with its baselines, as a film and as a table."""
 
 import csv
-import json
 
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
-pytest.importorskip("PIL")
-
 from PIL import Image
 
 PROBLEM = """
@@ -61,27 +56,14 @@ problem, blind = problem_of(Tank), problem_of(lambda context: Tank(context))
 
 
 @pytest.fixture
-def tank(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "tank.py").write_text(PROBLEM)
+def tank(folder):
+    (folder / "tank.py").write_text(PROBLEM)
     return "tank.py:problem"
 
 
 def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, tank):
-    told = (
-        "--at",
-        "pipe=old",
-        "--at",
-        "steps=8",
-        "--csv",
-        "out/tank.csv",
-        "--film",
-        "tank.gif",
-        "--json",
-    )
-    code, out, err = mbtl_command("play", tank, *told)
-    assert code == 0, err
-    found = json.loads(out)
+    told = ["--at", "pipe=old", "--at", "steps=8", "--csv", "out/tank.csv", "--film", "tank.gif"]
+    found = mbtl_command.document("play", tank, *told)
     assert found["context"] == {"pipe": "old", "steps": 8}
     assert list(found["all"]) == ["choices at random", "full"]  # nothing twice
     assert found["all"]["full"] == [pytest.approx(100.0 * (1.0 - 0.9))]  # 8 steps of 0.1 - 0.05
@@ -95,13 +77,11 @@ def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, t
 
 
 def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command, tank):
-    assert mbtl_command("run", tank, "--study", "s", "--no-report")[0] == 0
-    code, _, err = mbtl_command("play", "s/portfolio", "--trust")
-    assert (code, "add --problem my_file.py:problem" in err) == (2, True)
-    play = ("play", "s/portfolio", "--trust", "--problem", tank, "--at", "pipe=new", "--json")
-    code, out, err = mbtl_command(*play)
-    assert code == 0, err
-    assert list(json.loads(out)["all"]) == ["guided", "full", "at random"]
+    mbtl_command.done("run", tank, "--study", "s", "--no-report")
+    play = ("play", "s/portfolio", "--trust")
+    assert "add --problem my_file.py:problem" in mbtl_command.refusal(*play)
+    played = mbtl_command.document(*play, "--problem", tank, "--at", "pipe=new")
+    assert list(played["all"]) == ["guided", "full", "at random"]
 
 
 @pytest.mark.parametrize(
@@ -113,6 +93,4 @@ def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command, tank):
     ],
 )
 def test_what_cannot_be_shown_says_what_would_help(mbtl_command, tank, target, more, words):
-    code, _, err = mbtl_command("play", target, *more)
-    assert code == 2
-    assert words in err
+    assert words in mbtl_command.refusal("play", target, *more)

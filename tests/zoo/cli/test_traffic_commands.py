@@ -1,14 +1,9 @@
 """`mbtl run` on traffic as a user starts it, only shorter; and `mbtl play` of what it left."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("libsumo")
-pytest.importorskip("stable_baselines3")
-pytest.importorskip("jax")
 
 from mbtl.envs import rollout
 from mbtl.envs.rollout import Actor, Job
@@ -21,9 +16,8 @@ TINY = ("--preset", "quick", "--strategy", "mbtl", "--budget", "1", "--eval-epis
 
 @pytest.fixture
 def ring(mbtl_command, tmp_path):
-    code, out, _ = mbtl_command("run", "ring-acc", *TINY, "--episodes", "10", "--study", "a")
-    assert code == 0
-    assert "The study is finished" in out
+    run = ("run", "ring-acc", *TINY, "--episodes", "10", "--study", "a")
+    assert "The study is finished" in mbtl_command.done(*run)
     return tmp_path / "a" / "portfolio"
 
 
@@ -33,9 +27,7 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
     assert np.isfinite(portfolio.returns).all()
     assert 0.0 < portfolio.value < 1.0
     play = ("play", ring, "--at", "hold=40")
-    code, out, _ = mbtl_command(*play, "--json", "--episodes", "2", "--film", "films/ring.gif")
-    assert code == 0
-    told = json.loads(out)
+    told = mbtl_command.document(*play, "--episodes", "2", "--film", "films/ring.gif")
     assert told["context"] == {"hold": 40.0}
     assert "hold = 20 s" in told["policy"]
     assert len(set(told["scores"])) == 2
@@ -45,10 +37,8 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
     with Image.open(tmp_path / "films" / "ring.gif") as film:
         assert 8 < film.n_frames <= 11  # of the first episode; equal pictures are stored once
         assert film.width > 1.5 * film.height  # unguided traffic beside it
-    code, again, _ = mbtl_command(*play, "--json")
-    assert json.loads(again)["scores"] == told["scores"][:1]
-    code, other, _ = mbtl_command(*play, "--json", "--seed", "7")
-    assert json.loads(other)["scores"] != told["scores"][:1]
+    assert mbtl_command.document(*play)["scores"] == told["scores"][:1]
+    assert mbtl_command.document(*play, "--seed", "7")["scores"] != told["scores"][:1]
 
 
 @pytest.mark.long
@@ -57,9 +47,7 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
 )
 def test_other_traffic_is_run_in_sumo_and_in_the_twin(mbtl_command, tmp_path, id, more):
     few = (*TINY, "--episodes", "1", "--eval-targets", "2", "--no-report", "--study", "b")
-    code, out, _ = mbtl_command("run", id, *more, *few)
-    assert code == 0
-    assert "The study is finished" in out
+    assert "The study is finished" in mbtl_command.done("run", id, *more, *few)
     returns = load_portfolio(tmp_path / "b" / "portfolio").returns
     told = returns[np.isfinite(returns)]
     assert (len(told), (told <= 0.0).all()) == (2, id.startswith("signal"))
@@ -89,7 +77,7 @@ def test_an_episode_whose_score_is_known_is_watched_to_its_end():
 
 def test_a_film_without_decisions_has_its_first_picture(mbtl_command, tmp_path):
     nobody = ("--at", "inflow=40", "--seed", "6", "--film", "empty.gif")  # no controlled car comes
-    assert mbtl_command("play", "eco-inflow", *nobody)[0] == 0
+    mbtl_command.done("play", "eco-inflow", *nobody)
     from PIL import Image
 
     with Image.open(tmp_path / "empty.gif") as film:
@@ -97,9 +85,8 @@ def test_a_film_without_decisions_has_its_first_picture(mbtl_command, tmp_path):
 
 
 def test_without_policies_choices_are_drawn(mbtl_command):
-    code, out, _ = mbtl_command("play", "signal-inflow", "--at", "inflow=50")
-    assert code == 0
-    assert "inflow = 50 cars; choices at random" in out
+    said = mbtl_command.done("play", "signal-inflow", "--at", "inflow=50")
+    assert "inflow = 50 cars; choices at random" in said
 
 
 @pytest.mark.parametrize(
@@ -118,6 +105,4 @@ def test_without_policies_choices_are_drawn(mbtl_command):
 def test_wrong_usage_costs_one_line(mbtl_command, monkeypatch, arguments, words):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    code, _, err = mbtl_command("play", *arguments)
-    assert code == 2
-    assert words in err
+    assert words in mbtl_command.refusal("play", *arguments)

@@ -3,6 +3,7 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+from played import begun
 
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.zoo.cmdps.cartpole import ANGLE_LIMIT, CartPole, derive
@@ -34,11 +35,7 @@ def test_reference_length_and_pole_mass_act_only_in_one_denominator():
 
 @pytest.mark.parametrize(
     ("feature", "value", "total_mass", "pole_moment"),
-    [
-        ("masscart", 10.0, 10.1, 0.05),
-        ("length", 5.0, 1.1, 0.5),
-        ("masspole", 1.0, 2.0, 0.5),
-    ],
+    [("masscart", 10.0, 10.1, 0.05), ("length", 5.0, 1.1, 0.5), ("masspole", 1.0, 2.0, 0.5)],
 )
 def test_derived_constants_at_the_corners(feature, value, total_mass, pole_moment):
     constants = derive({**CartPole.FEATURES, feature: value})
@@ -67,8 +64,7 @@ def test_the_horizon_is_a_truncation_by_default_and_terminal_as_in_the_reference
     "state", [(2.39, 5.0, 0.0, 0.0), (-2.39, -5.0, 0.0, 0.0), (0.0, 0.0, ANGLE_LIMIT - 0.01, 2.0)]
 )
 def test_leaving_the_track_or_falling_is_terminal_and_still_pays(state):
-    env = CartPole()
-    env.reset(seed=0)
+    env = begun(CartPole())
     env.state = state
     _, reward, terminated, truncated, _ = env.step(1)
     assert (reward, terminated, truncated) == (1.0, True, False)

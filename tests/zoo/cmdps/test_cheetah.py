@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from played import begun
 
 pytest.importorskip("mujoco", reason="the envs extra is not installed")
 
@@ -57,8 +58,7 @@ def test_agrees_step_for_step_with_gymnasium_at_the_nominal_context(theirs):
 
 @pytest.mark.parametrize("context", CORNERS[::2], ids=str)
 def test_without_torque_it_comes_to_rest(context):
-    env = HalfCheetah(context)
-    env.reset(seed=0)
+    env = begun(HalfCheetah(context))
     rewards = [env.drive()[1] for _ in range(1000)]
     assert np.isfinite(env.state).all()
     assert np.abs(rewards[-100:]).max() < 0.05
@@ -80,8 +80,7 @@ def test_mujoco_derives_nothing_from_a_context():
 
 
 def test_what_is_not_a_number_is_not_hidden():
-    env = HalfCheetah()
-    env.reset(seed=0)
+    env = begun(HalfCheetah())
     assert np.isnan(env.step(np.full(6, np.nan))[1])
     env.data.qpos[3] = np.nan
     for _ in range(2):

@@ -3,6 +3,7 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+from played import begun
 
 from mbtl.zoo.cmdps.pendulum import Pendulum
 
@@ -27,8 +28,7 @@ def test_agrees_step_for_step_with_gymnasium_at_the_nominal_context(seed):
 
 
 def test_one_step_by_hand():
-    env = Pendulum({"length": 2.0, "mass": 3.0, "timestep": 0.1})
-    env.reset(seed=0)
+    env = begun(Pendulum({"length": 2.0, "mass": 3.0, "timestep": 0.1}))
     env.state = (0.5, -1.0)
     _, reward, *_ = env.step(np.array([1.5]))
     w = -1.0 + (1.5 * 10.0 / 2.0 * math.sin(0.5) + 3.0 * 1.5 / (3.0 * 4.0)) * 0.1
@@ -40,7 +40,6 @@ def test_an_episode_is_200_steps_whatever_the_time_step():
     for timestep, time_limit, end in (
         (0.005, "truncation", (False, True)), (0.5, "terminal", (True, False)),
     ):  # fmt: skip
-        env = Pendulum({"timestep": timestep}, time_limit=time_limit)
-        env.reset(seed=0)
+        env = begun(Pendulum({"timestep": timestep}, time_limit=time_limit))
         ends = [env.step(NOTHING)[2:4] for _ in range(200)]
         assert ends == [(False, False)] * 199 + [end]

@@ -99,22 +99,12 @@ def test_where_the_paper_s_text_and_scripts_disagree():
 
 
 def test_switches_reach_the_environment_and_the_record():
-    cmdp = get_cmdp(
-        "cartpole-masscart",
-        physics="reference",
-        visibility="raw",
-        time_limit="terminal",
-        engine="gymnasium",
-    )
+    switches = {"physics": "reference", "visibility": "raw", "time_limit": "terminal"}
+    switches["engine"] = "gymnasium"
+    cmdp = get_cmdp("cartpole-masscart", **switches)
     env = cmdp.make_env({"masscart": 7.0})
     np.testing.assert_allclose(env.reset(seed=0)[0][4:], [9.8, 7.0, 0.1, 0.5, 10.0, 0.02])
-    assert cmdp.settings == {
-        "physics": "reference",
-        "visibility": "raw",
-        "grid": "code",
-        "time_limit": "terminal",
-        "engine": "gymnasium",
-    }
+    assert cmdp.settings == {**switches, "grid": "code"}
 
 
 @pytest.mark.parametrize(
@@ -158,9 +148,8 @@ def test_presets_and_overrides_shape_the_trainer():
     paper = cmdp.trainer_for("paper")
     assert (paper.timesteps, paper.eval_episodes, paper.checkpoint) == (1_000_000, 100, "best")
     assert paper.hyperparameters == {}, "a recipe that names its algorithm starts afresh"
-    assert (
-        get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
-    )
+    other = get_cmdp("cartpole-length", engine="gymnasium")
+    assert other.trainer_for("paper").timesteps == 5_000_000
     assert cmdp.preset("paper").budget == 15
     quick = cmdp.trainer_for("quick").hyperparameters  # others add to them
     more = cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3})
@@ -207,9 +196,7 @@ def test_gymnasium_makes_them_with_a_context():
 
 @pytest.mark.parametrize("id", [id for id in cmdp_ids() if id not in TRAFFIC_VARIANTS])
 @pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
-@pytest.mark.filterwarnings(
-    "ignore:.*symmetric and normalized space"
-)  # torques of +-2 are the task
+@pytest.mark.filterwarnings("ignore:.*symmetric and normalized space")  # torques of +-2 are right
 def test_gymnasium_s_own_checker_agrees(id):
     # to draw takes OpenGL, which not every machine has
     check_env(gymnasium.make(gym_id(id)).unwrapped, skip_render_check=True)

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-pytest.importorskip("Box2D", reason="the envs extra is not installed")
+from played import begun, played
 
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.problems import get_cmdp
@@ -81,27 +79,23 @@ def test_scale_divides_hull_and_roughness_and_the_worth_of_the_way():
 
 
 def test_a_walker_that_falls_loses_a_hundred_and_the_episode():
-    env = BipedalWalker()
-    env.reset(seed=0)
-    action, ended = np.array([1.0, 1.0, -1.0, -1.0]), False
-    while not ended:
-        _, reward, ended, truncated, _ = env.step(action)
+    env = begun(BipedalWalker())
+    action = np.array([1.0, 1.0, -1.0, -1.0])
+    _, reward, _, truncated, _ = played(lambda: env.step(action))[-1]
     assert (reward, truncated) == (-100.0, False)
     with pytest.raises(InvalidInput, match="reset"):
         env.step(action)
 
 
 def test_unguided_it_stands_still_at_little_cost():
-    env = BipedalWalker()
-    env.reset(seed=0)
+    env = begun(BipedalWalker())
     steps = [env.drive() for _ in range(1000)]
     assert [step[2] for step in steps] == [False] * 1000
     assert -20 < sum(step[1] for step in steps) < 0
 
 
 def test_an_action_that_is_no_number_gives_none():
-    env = BipedalWalker()
-    env.reset(seed=0)
+    env = begun(BipedalWalker())
     seen, reward, ended, _, _ = env.step([np.nan, 0.0, 0.0, 0.0])
     assert np.isnan(seen[:24]).all()
     assert np.isnan(reward)

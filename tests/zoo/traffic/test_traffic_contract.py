@@ -176,10 +176,8 @@ def test_what_cannot_be_done_or_drawn_is_refused(opened, kind, actions, words):
 )
 @pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
 @pytest.mark.filterwarnings("ignore:.*symmetric and normalized space")
-def test_gymnasium_s_own_checker_agrees(id):
-    env = gymnasium.make(gym_id(id), render_mode="rgb_array").unwrapped
-    check_env(env)
-    env.close()
+def test_gymnasium_s_own_checker_agrees(opened, id):
+    check_env(opened(gymnasium.make(gym_id(id), render_mode="rgb_array").unwrapped))
 
 
 # it also expects every possible agent to have lived; the last ones never enter
@@ -192,7 +190,5 @@ def test_gymnasium_s_own_checker_agrees(id):
         (Eco, {"penetration": 1.0, "inflow": 1000.0}, {"horizon": 20}),
     ],
 )
-def test_the_parallel_interface_is_pettingzoos(kind, context, options):
-    env = kind(context, **options)
-    parallel_api_test(env, num_cycles=12)
-    env.close()
+def test_the_parallel_interface_is_pettingzoos(opened, kind, context, options):
+    parallel_api_test(opened(kind(context, **options)), num_cycles=12)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from played import begun
 
 from mbtl.zoo.cmdps.traffic.eco import Eco
 from mbtl.zoo.cmdps.traffic.ramp import RampVel
@@ -12,15 +13,13 @@ from mbtl.zoo.cmdps.traffic.signal import Signal
     [(RingVel, 5, 1), (RampVel, {}, 1), (Signal, 0, 30), (Eco, {}, 5)],
     ids=["ring", "ramp", "signal", "eco"],
 )
-def test_every_scenario_has_a_picture_that_changes_as_cars_move(make, action, steps):
-    env = make(render_mode="rgb_array")
-    env.reset(seed=0)
+def test_every_scenario_has_a_picture_that_changes_as_cars_move(opened, make, action, steps):
+    env = begun(opened(make(render_mode="rgb_array")))
     pictures = [env.render()]
     np.testing.assert_array_equal(env.render(), pictures[0])
     for _ in range(steps):
         env.step(action)
     pictures.append(env.render())
-    env.close()
     for picture in pictures:
         assert picture.dtype == np.uint8
         assert picture.shape == pictures[0].shape
@@ -29,8 +28,7 @@ def test_every_scenario_has_a_picture_that_changes_as_cars_move(make, action, st
 
 
 def test_the_end_of_an_episode_can_still_be_seen():
-    env = RingVel({"hold": 40.0}, horizon=1, render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun(RingVel({"hold": 40.0}, horizon=1, render_mode="rgb_array"))
     before = env.render()
     env.step(5)
     assert env.simulation.running is None

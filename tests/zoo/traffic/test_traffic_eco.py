@@ -1,4 +1,5 @@
 import pytest
+from played import begun
 
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps.traffic import eco
@@ -73,8 +74,7 @@ def test_a_jam_beats_free_traffic_by_the_paper_s_score_and_never_by_the_default_
 
 def test_an_episode_ends_at_the_horizon_and_says_what_it_measured(make):
     for limit, name in (("truncation", 3), ("terminal", 2)):
-        env = make(horizon=120, time_limit=limit)
-        env.reset(seed=0)
+        env = begun(make(horizon=120, time_limit=limit))
         while env.agents:
             out = env.step({})
         assert all(out[name].values())
@@ -97,8 +97,7 @@ def test_an_episode_without_controlled_cars_is_over_after_reset_with_its_measure
 
 
 def test_agents_are_the_controlled_cars_in_the_region_and_are_terminated_as_they_leave(make):
-    env = make({"penetration": 1.0})
-    env.reset(seed=0)
+    env = begun(make({"penetration": 1.0}))
     left = 0
     for _ in range(200):
         acting = list(env.agents)

@@ -1,7 +1,6 @@
 """The eco-driving twin is SUMO step for step with the same cars."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,24 +12,14 @@ from mbtl.zoo.cmdps.traffic import eco
 from mbtl.zoo.cmdps.traffic.eco import FEEDERS, STARTS
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
 from mbtl.zoo.worlds.traffic.eco import Car as Waiting
-from mbtl.zoo.worlds.traffic.eco import Demand
+from mbtl.zoo.worlds.traffic.eco import Demand, EcoTwin
 
 ATOL = 2e-3  # m, m/s, and what follows from them
 
 
-@partial(jax.jit, static_argnums=0)
-def start(twin, params):
-    return replace(twin, warm_up=0).start(jnp.zeros(1, jnp.uint32), params)
-
-
-@partial(jax.jit, static_argnums=0)
-def step(twin, state, actions, params):
-    return twin.step(state, actions, params)
-
-
-@partial(jax.jit, static_argnums=0)
-def observe(twin, state, params):
-    return twin.observe(state, params)
+START, STEP, OBSERVE = (
+    jax.jit(method, static_argnums=0) for method in (EcoTwin.start, EcoTwin.step, EcoTwin.observe)
+)
 
 
 @dataclass(frozen=True)
@@ -87,65 +76,58 @@ def injected(cars, rows):
     return cars._replace(x=x, speed=speed)
 
 
+MORE = ({"penetration": 1.0}, {"inflow": 1200.0, "green": 20.0}, {"green": 3.0})
+
+
 @pytest.mark.parametrize(
-    "context",
-    [
-        {},
-        pytest.param({"penetration": 1.0}, marks=pytest.mark.long),
-        pytest.param({"inflow": 1200.0, "green": 20.0}, marks=pytest.mark.long),
-        pytest.param({"green": 3.0}, marks=pytest.mark.long),
-    ],
-    ids=str,
+    "context", [{}, *(pytest.param(one, marks=pytest.mark.long) for one in MORE)], ids=str
 )
-def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
+def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch, opened):
     drawn = []
     original = eco.population
     monkeypatch.setattr(eco, "population", lambda *args: drawn.append(original(*args)) or drawn[-1])
     monkeypatch.setattr(eco.Eco, "_wait", lambda *_: None)  # compare without agents too
-    env = eco.Eco(context, visibility="hidden", horizon=240)
+    env = opened(eco.Eco(context, visibility="hidden", horizon=240))
     twin, (params,) = EcoProblem()([context])
     actions = np.zeros((1, twin.agents, 1), np.float32)
     rng = np.random.default_rng(0)
     moves = wrong = 0
-    try:
-        seen, _ = env.reset(seed=1)
-        # rows of two lengths, so that there is less to compile
-        twin = replace(twin, demand=Script.of(twin.demand, drawn[-1]), few=twin.few[:1])
-        state = start(twin, params)
-        for _ in range(eco.WARM_UP):
-            state = step(twin, state, actions, params).state
-        while env._left > 0:
-            main, side = in_sumo(env.simulation.api)
-            for cars, sumo in ((state.main, main), (state.side, side)):
-                error = np.abs(in_twin(cars) - sumo).max(axis=1, initial=0.0)
-                moves += len(sumo)
-                wrong += int((error > ATOL).sum())
-            state = state._replace(main=injected(state.main, main), side=injected(state.side, side))
-            now = observe(twin, state, params)
-            places = (int(state.first[0]) + np.arange(len(env.agents))) % twin.agents
-            acting = np.zeros(twin.agents, bool)
-            acting[places] = True
-            np.testing.assert_array_equal(now.acting[0], acting)
-            for place, car in zip(places, env.agents, strict=True):
-                np.testing.assert_allclose(now.obs[0, place], seen[car], atol=ATOL, err_msg=car)
-            told = {car: np.float32([rng.normal(0.0, 3.0)]) for car in env.agents}
-            actions = np.zeros_like(actions)
-            actions[0, places] = np.reshape(list(told.values()), (-1, 1))
-            seen, rewards, ended, *_ = env.step(told)
-            moved = step(twin, state, actions, params)
-            state = moved.state
-            for place, car in zip(places, told, strict=True):
-                assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
-                assert bool(moved.done[0, place]) == ended[car] or env._left == 0
-        assert wrong <= moves // 10_000, (wrong, moves)
-        assert moves > 1500
-        measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
-        assert measures["completed"] > 0
-        assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
-        for score, measure in eco.SCORES.items():
-            assert float(replace(twin, scored=score).score(state)[0]) == measures[measure]
-    finally:
-        env.close()
+    seen, _ = env.reset(seed=1)
+    # rows of two lengths, so that there is less to compile
+    twin = replace(twin, demand=Script.of(twin.demand, drawn[-1]), few=twin.few[:1])
+    state = START(replace(twin, warm_up=0), jnp.zeros(1, jnp.uint32), params)
+    for _ in range(eco.WARM_UP):
+        state = STEP(twin, state, actions, params).state
+    while env._left > 0:
+        main, side = in_sumo(env.simulation.api)
+        for cars, sumo in ((state.main, main), (state.side, side)):
+            error = np.abs(in_twin(cars) - sumo).max(axis=1, initial=0.0)
+            moves += len(sumo)
+            wrong += int((error > ATOL).sum())
+        state = state._replace(main=injected(state.main, main), side=injected(state.side, side))
+        now = OBSERVE(twin, state, params)
+        places = (int(state.first[0]) + np.arange(len(env.agents))) % twin.agents
+        acting = np.zeros(twin.agents, bool)
+        acting[places] = True
+        np.testing.assert_array_equal(now.acting[0], acting)
+        for place, car in zip(places, env.agents, strict=True):
+            np.testing.assert_allclose(now.obs[0, place], seen[car], atol=ATOL, err_msg=car)
+        told = {car: np.float32([rng.normal(0.0, 3.0)]) for car in env.agents}
+        actions = np.zeros_like(actions)
+        actions[0, places] = np.reshape(list(told.values()), (-1, 1))
+        seen, rewards, ended, *_ = env.step(told)
+        moved = STEP(twin, state, actions, params)
+        state = moved.state
+        for place, car in zip(places, told, strict=True):
+            assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
+            assert bool(moved.done[0, place]) == ended[car] or env._left == 0
+    assert wrong <= moves // 10_000, (wrong, moves)
+    assert moves > 1500
+    measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
+    assert measures["completed"] > 0
+    assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
+    for score, measure in eco.SCORES.items():
+        assert float(replace(twin, scored=score).score(state)[0]) == measures[measure]
 
 
 @pytest.mark.long

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from played import begun
 
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps.traffic import advisory
@@ -12,8 +13,7 @@ def make(opened):
 
 
 def test_one_car_in_ten_that_enter_the_main_road_is_advised(make):
-    env = make()
-    env.reset(seed=0)
+    env = begun(make())
     entered = []
     for _ in range(4):
         road = env.simulation.api.vehicle.getIDList()
@@ -28,8 +28,7 @@ def test_one_car_in_ten_that_enter_the_main_road_is_advised(make):
 
 
 def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(make):
-    env = make(hold=40.0)
-    env.reset(seed=0)
+    env = begun(make(hold=40.0))
     steps = advisory.hold_steps(40.0)
     for decision in range(10):
         agents, before = set(env.agents), set(env.simulation.api.vehicle.getIDList())
@@ -51,8 +50,7 @@ def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(ma
 
 def test_each_car_that_collides_costs_fifty_and_stands_wherever_it_is(make, monkeypatch):
     monkeypatch.setattr(advisory, "UNMEASURED", 0)
-    env = make(hold=2.0)
-    env.reset(seed=0)
+    env = begun(make(hold=2.0))
     vehicle = env.simulation.api.vehicle
     speeds = {car: vehicle.getSpeed(car) for car in vehicle.getIDList()}
     blind = next(

@@ -48,40 +48,33 @@ def same_state(twin, params, env):
 
 @pytest.mark.long
 @pytest.mark.parametrize("actions", ACTIONS)
-def test_without_noise_every_decision_ends_as_in_sumo(actions):
+def test_without_noise_every_decision_ends_as_in_sumo(actions, opened):
     """New cars want other speeds in the twin; they change nothing before them for a while."""
-    env = ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden")
+    env = opened(ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden"))
     twin, (params,) = RampProblem(actions, noise=0.0)([{"hold": 2.0}])
     step, rng = jax.jit(twin.step), np.random.default_rng(0)
-    try:
-        seen, _ = env.reset(seed=3)
-        state, cars = same_state(twin, params, env)
-        for decision in range(6):
-            numbers = np.asarray(state.look.car)[:, 0]
-            places = {cars[k]: place for place, k in enumerate(numbers.tolist()) if k in cars}
-            assert set(places) == set(seen) & set(cars.values())
-            obs = np.asarray(twin.observe(state, params).obs)[0]
-            for car, place in places.items():
-                np.testing.assert_allclose(
-                    obs[place], seen[car], atol=0.02 if decision < 4 else 0.1
-                )
-            told = rng.uniform(-1, 1, 8) if actions == "acceleration" else rng.integers(2, 5, 8)
-            advice = {car: np.atleast_1d(told[place]) for car, place in places.items()}
-            if actions == "speed":
-                advice = {car: int(level[0]) for car, level in advice.items()}
-            seen, rewards, *_ = env.step(advice)
-            seen = {car: seen[car] for car in env.agents}
-            moved = step(state, jnp.asarray(told)[None], params)
-            state = moved.state
-            acting = np.asarray(moved.reward)[0, list(places.values())]
-            np.testing.assert_allclose(acting, next(iter(rewards.values())), atol=0.06)
-            vehicle = env.simulation.api.vehicle
-            theirs = {car: position(vehicle, car) for car in vehicle.getIDList()}
-            for queue in (state.main, state.end):
-                for k, x in zip(
-                    np.asarray(queue.car)[:, 0], np.asarray(queue.x)[:, 0], strict=True
-                ):
-                    if k in cars and cars[k] in theirs:
-                        assert x == pytest.approx(theirs[cars[k]], abs=0.5)
-    finally:
-        env.close()
+    seen, _ = env.reset(seed=3)
+    state, cars = same_state(twin, params, env)
+    for decision in range(6):
+        numbers = np.asarray(state.look.car)[:, 0]
+        places = {cars[k]: place for place, k in enumerate(numbers.tolist()) if k in cars}
+        assert set(places) == set(seen) & set(cars.values())
+        obs = np.asarray(twin.observe(state, params).obs)[0]
+        for car, place in places.items():
+            np.testing.assert_allclose(obs[place], seen[car], atol=0.02 if decision < 4 else 0.1)
+        told = rng.uniform(-1, 1, 8) if actions == "acceleration" else rng.integers(2, 5, 8)
+        advice = {car: np.atleast_1d(told[place]) for car, place in places.items()}
+        if actions == "speed":
+            advice = {car: int(level[0]) for car, level in advice.items()}
+        seen, rewards, *_ = env.step(advice)
+        seen = {car: seen[car] for car in env.agents}
+        moved = step(state, jnp.asarray(told)[None], params)
+        state = moved.state
+        acting = np.asarray(moved.reward)[0, list(places.values())]
+        np.testing.assert_allclose(acting, next(iter(rewards.values())), atol=0.06)
+        vehicle = env.simulation.api.vehicle
+        theirs = {car: position(vehicle, car) for car in vehicle.getIDList()}
+        for queue in (state.main, state.end):
+            for k, x in zip(np.asarray(queue.car)[:, 0], np.asarray(queue.x)[:, 0], strict=True):
+                if k in cars and cars[k] in theirs:
+                    assert x == pytest.approx(theirs[cars[k]], abs=0.5)

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from played import begun, played
 
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps.traffic import advisory
@@ -11,14 +12,6 @@ from mbtl.zoo.cmdps.traffic.ring import CARS, RingAcc, RingVel
 @pytest.fixture
 def make(opened):
     return lambda kind=RingVel, hold=1.0, **options: opened(kind({"hold": hold}, **options))
-
-
-def unguided(env, seed):
-    env.reset(seed=seed)
-    while True:
-        _, _, terminated, truncated, info = env.drive()
-        if terminated or truncated:
-            return info["score"]
 
 
 def equilibrium(advised_gap):
@@ -38,8 +31,7 @@ def equilibrium(advised_gap):
 def test_uniform_flow_without_noise_keeps_the_equilibrium_speed(make):
     assert equilibrium(2.0) == pytest.approx(4.33, abs=0.01)  # of the spec
     assert equilibrium(0.0) == pytest.approx(4.42, abs=0.01)
-    env = make(noise=0.0, start="uniform")
-    env.reset(seed=0)  # 100 s without control
+    env = begun(make(noise=0.0, start="uniform"))  # 100 s without control
     vehicle = env.simulation.api.vehicle
     speeds = [vehicle.getSpeed(car) for car in vehicle.getIDList()]
     assert speeds == pytest.approx([equilibrium(2.0)] * CARS, abs=0.03)  # speed factors differ
@@ -48,15 +40,14 @@ def test_uniform_flow_without_noise_keeps_the_equilibrium_speed(make):
 def test_unguided_traffic_stops_and_goes(make):
     # 3.0 in an IDM of 20 lines with the same noise; the 3.6 of the spec is an average from a
     # uniform start with the unmeasured part, before the wave has grown.
-    score = unguided(make(hold=10.0), seed=0)
-    assert 2.9 < score < 3.4
+    *_, info = played(begun(make(hold=10.0)).drive)[-1]
+    assert 2.9 < info["score"] < 3.4
 
 
 def test_a_hold_is_that_many_seconds_and_control_lasts_400_s(make):
     for hold, decisions in ((1.0, 400), (3.0, 134), (40.0, 10)):
         assert advisory.decisions(hold, 400) == decisions
-    env = make(hold=40.0)
-    env.reset(seed=0)
+    env = begun(make(hold=40.0))
     before = env.simulation.api.simulation.getTime()
     env.step(3)
     assert env.simulation.api.simulation.getTime() - before == pytest.approx(40.0)
@@ -79,8 +70,7 @@ def test_a_stale_observation_is_that_of_the_first_simulation_step(make):
 def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make, monkeypatch):
     for part, steps in (("WARM_UP", 200), ("UNMEASURED", 100), ("MEASURED", 1_000)):
         monkeypatch.setattr(advisory, part, steps)
-    env = make(RingAcc, hold=1.0)
-    env.reset(seed=0)
+    env = begun(make(RingAcc, hold=1.0))
     for _ in range(60):
         env.drive()
     env.simulation.api.vehicle.setSpeedMode("car0", 0)  # without any check of SUMO's

@@ -41,24 +41,21 @@ def same_state(twin, params, env):
 
 
 @pytest.mark.parametrize("actions", ["acceleration", pytest.param("speed", marks=pytest.mark.long)])
-def test_without_noise_every_decision_ends_as_in_sumo(actions):
-    env = ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden")
+def test_without_noise_every_decision_ends_as_in_sumo(actions, opened):
+    env = opened(ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden"))
     twin, (params,) = RingProblem(actions, noise=0.0)([{"hold": 2.0}])
     step = jax.jit(twin.step)
     rng = np.random.default_rng(0)
-    try:
-        first, _ = env.reset(seed=3)
-        state = same_state(twin, params, env)
-        np.testing.assert_allclose(twin.observe(state, params).obs[0, 0], first, atol=1e-6)
-        for _ in range(20):
-            # large gaps are left out: SUMO sees no leader across the seam of its two edges then
-            action = rng.uniform(-1, 1) if actions == "acceleration" else rng.integers(3, 6)
-            seen, reward, ended, *_ = env.step(np.float32([action]) if "acc" in actions else action)
-            moved = step(state, jnp.asarray([[action]]), params)
-            state = moved.state
-            assert not ended
-            assert float(moved.reward[0, 0]) == pytest.approx(reward, abs=0.05)
-            np.testing.assert_allclose(twin.observe(state, params).obs[0, 0], seen, atol=0.01)
-            np.testing.assert_allclose(state.gap[:, 0], snapshot(env)[0], atol=0.05)
-    finally:
-        env.close()
+    first, _ = env.reset(seed=3)
+    state = same_state(twin, params, env)
+    np.testing.assert_allclose(twin.observe(state, params).obs[0, 0], first, atol=1e-6)
+    for _ in range(20):
+        # large gaps are left out: SUMO sees no leader across the seam of its two edges then
+        action = rng.uniform(-1, 1) if actions == "acceleration" else rng.integers(3, 6)
+        seen, reward, ended, *_ = env.step(np.float32([action]) if "acc" in actions else action)
+        moved = step(state, jnp.asarray([[action]]), params)
+        state = moved.state
+        assert not ended
+        assert float(moved.reward[0, 0]) == pytest.approx(reward, abs=0.05)
+        np.testing.assert_allclose(twin.observe(state, params).obs[0, 0], seen, atol=0.01)
+        np.testing.assert_allclose(state.gap[:, 0], snapshot(env)[0], atol=0.05)

@@ -5,12 +5,7 @@ import pytest
 import torch
 
 from mbtl.zoo.cmdps.traffic.rotation import RotatedReplay, turned, turned_phase
-from mbtl.zoo.cmdps.traffic.signal import (
-    APPROACHES,
-    LEFT_LANE,
-    Signal,
-    _light_states,
-)
+from mbtl.zoo.cmdps.traffic.signal import APPROACHES, LEFT_LANE, Signal, _light_states
 
 
 class Api:
@@ -29,10 +24,7 @@ class Api:
 
 def seen(places):
     """What a signal whose features are visible observes, of {lane: distance to the line}."""
-    env = Signal(visibility="raw")
-    observation = env._observe(Api(places))
-    env.close()
-    return torch.as_tensor(observation)[None]
+    return torch.as_tensor(Signal(visibility="raw")._observe(Api(places)))[None]
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -71,7 +63,6 @@ def test_the_turned_phase_gives_green_to_the_turned_lanes(phase, quarters):
 def test_a_sample_is_a_stored_row_turned_and_every_turn_comes():
     env = Signal(visibility="hidden")
     replay = RotatedReplay(10, env.observation_space, env.action_space)
-    env.close()
     here, there = (np.zeros((1, 80), np.float32) for _ in range(2))
     here[0, 3], there[0, 17] = 1.0, 1.0  # one car of the first approach
     replay.add(here, there, np.array([[1]]), np.array([-7.0]), np.array([False]), [{}])

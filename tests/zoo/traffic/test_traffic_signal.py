@@ -2,6 +2,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from played import begun, played
 
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.problems import get_cmdp
@@ -108,8 +109,7 @@ def test_a_fixed_time_signal_serves_the_nominal_demand(make):
 
 
 def test_the_delay_is_what_sumo_says_cars_lose_and_what_they_wait_to_enter(make):
-    env = make({"inflow": 2000, "length": 40})  # on so short a road some wait outside
-    env.reset(seed=0)
+    env = begun(make({"inflow": 2000, "length": 40}))  # on so short a road some wait outside
     lost, outside = {}, 0
     original = env.simulation.api.simulationStep
 
@@ -133,26 +133,20 @@ def test_the_delay_is_what_sumo_says_cars_lose_and_what_they_wait_to_enter(make)
 
 def test_lights_of_sumos_own_stand_beside_policies(make):
     def alone(way):
-        env = make({"inflow": 500})
-        env.reset(seed=0)
-        while True:
-            *_, terminated, truncated, info = env.follow(way)
-            if terminated or truncated:
-                return info
+        env = begun(make({"inflow": 500}))
+        return played(lambda: env.follow(way))[-1][4]
 
     *_, decided = episode(make({"inflow": 500}), FIXED_TIME)
     fixed, actuated = alone("fixed_time"), alone("actuated")
     assert fixed["delay"] == pytest.approx(decided["delay"])  # the same lights, second by second
     assert actuated["delay"] < 0.8 * fixed["delay"]
-    env = make({"inflow": 500})
-    env.reset(seed=0)
+    env = begun(make({"inflow": 500}))
     with pytest.raises(UnknownName, match="Did you mean 'actuated'"):
         env.follow("actuatd")
 
 
 def test_yellow_comes_before_another_green_only(make):
-    env = make()
-    env.reset(seed=0)
+    env = begun(make())
     times = []
     for phase in (0, 0, 1, 1, 3):
         env.step(phase)
@@ -164,8 +158,7 @@ def test_yellow_comes_before_another_green_only(make):
 
 
 def test_roads_are_those_of_the_context_and_the_limit_is_the_same_for_everybody(make):
-    env = make({"length": 150, "speed": 5.5})
-    env.reset(seed=0)
+    env = begun(make({"length": 150, "speed": 5.5}))
     lane, vehicle = env.simulation.api.lane, env.simulation.api.vehicle
     for name in ("W_in_0", "N_in_3", "S_out_1"):
         assert (lane.getLength(name), lane.getMaxSpeed(name)) == (pytest.approx(150.0), 5.5)
@@ -195,8 +188,7 @@ def test_the_observation_is_where_the_cars_are(make):
 
 
 def test_rewards_sum_to_minus_the_waiting_of_those_who_are_still_there(make):
-    env = make({"inflow": 500})
-    env.reset(seed=0)
+    env = begun(make({"inflow": 500}))
     total = sum(env.step(0)[1] for _ in range(60))
     vehicle = env.simulation.api.vehicle
     waiting = sum(
@@ -237,14 +229,10 @@ def test_a_jam_ends_the_episode_and_no_score_is_clipped(make):
 
 @pytest.mark.parametrize("score", SCORES)
 def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make, score):
-    env, lowest = make({"inflow": 200}, score=score), SCORES[score].lowest
-    env.reset(seed=0)
-    told, scores, ended = [], [], False
-    while not ended:
-        _, _, terminated, truncated, info = env.step(0)
-        told.append(info.get("final_score"))
-        scores.append(env._score)
-        ended = terminated or truncated
+    env, lowest = begun(make({"inflow": 200}, score=score)), SCORES[score].lowest
+    outcomes = played(lambda: (*env.step(0), env._score))
+    told = [info.get("final_score") for *_, info, _ in outcomes]
+    scores = [now for *_, now in outcomes]
     assert told == [one if one <= lowest else None for one in scores]
     assert None in told
     assert len(told) - told.count(None) > 10
@@ -255,12 +243,8 @@ def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make, score):
 
 def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
     for time_limit, expected in (("truncation", (False, True)), ("terminal", (True, False))):
-        env = make({"inflow": 50}, jam=-1e-9, time_limit=time_limit)
-        env.reset(seed=0)
-        ends = (False, False)
-        while not any(ends):
-            ends = env.step(0)[2:4]
-        assert ends == expected
+        env = begun(make({"inflow": 50}, jam=-1e-9, time_limit=time_limit))
+        assert played(lambda env=env: env.step(0))[-1][2:4] == expected
 
 
 def test_every_car_enters_the_shortest_road_that_is_allowed(make, capfd):

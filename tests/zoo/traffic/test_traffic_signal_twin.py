@@ -1,9 +1,12 @@
 """The signal's twin is SUMO: second by second but for the luck of drivers, and in the mean."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from played import played
 
 from mbtl.zoo.cmdps.traffic import signal
 from mbtl.zoo.cmdps.traffic.signal import APPROACHES, Signal
@@ -36,38 +39,35 @@ def snapshot(api):
     return ids, Queues(*map(jnp.asarray, fields))
 
 
-def test_cars_drive_on_as_in_sumo_but_for_the_drivers_luck():
-    env = Signal({"inflow": 1500.0}, visibility="hidden")
+def test_cars_drive_on_as_in_sumo_but_for_the_drivers_luck(opened):
+    env = opened(Signal({"inflow": 1500.0}, visibility="hidden"))
     twin, (params,) = SignalProblem()([{"inflow": 1500.0}])
     speeds = jax.jit(twin._speeds)
     beyond, cars = [], 0
-    try:
-        env.reset(seed=0)
-        for k in range(150):
-            env.step((k // 2) % 4)
-        with env.simulation.guard() as api:
-            green = np.array([[c == "G"] for c in _lights(api)])
-            for _ in range(60):
-                ids, queues = snapshot(api)
-                fast, slow = (
-                    np.asarray(speeds(queues, jnp.asarray(green), jnp.float32(luck), params))
-                    for luck in (0.0, 1.0)
-                )
-                fields = jax.tree.map(np.asarray, queues)
-                api.simulationStep(0.0)
-                now, _ = snapshot(api)
-                for car, (row, k) in ids.items():
-                    if car not in now or now[car][1] != k:
-                        continue  # it has left, or changed lanes
-                    v = api.vehicle.getSpeed(car)
-                    low, high = slow[row, k, 0] - 0.01, fast[row, k, 0] + 0.01
-                    # who is first may follow a car in the box, which is not in the picture
-                    first = row == 0 and fields.x[row, k, 0] > 600.0
-                    cars += not first
-                    if not first and not low <= v <= high:
-                        beyond.append((car, v, low, high))
-    finally:
-        env.close()
+    env.reset(seed=0)
+    for k in range(150):
+        env.step((k // 2) % 4)
+    with env.simulation.guard() as api:
+        green = np.array([[c == "G"] for c in _lights(api)])
+        for _ in range(60):
+            ids, queues = snapshot(api)
+            fast, slow = (
+                np.asarray(speeds(queues, jnp.asarray(green), jnp.float32(luck), params))
+                for luck in (0.0, 1.0)
+            )
+            fields = jax.tree.map(np.asarray, queues)
+            api.simulationStep(0.0)
+            now, _ = snapshot(api)
+            for car, (row, k) in ids.items():
+                if car not in now or now[car][1] != k:
+                    continue  # it has left, or changed lanes
+                v = api.vehicle.getSpeed(car)
+                low, high = slow[row, k, 0] - 0.01, fast[row, k, 0] + 0.01
+                # who is first may follow a car in the box, which is not in the picture
+                first = row == 0 and fields.x[row, k, 0] > 600.0
+                cars += not first
+                if not first and not low <= v <= high:
+                    beyond.append((car, v, low, high))
     assert cars > 1500
     assert len(beyond) < 0.03 * cars, beyond[:10]
 
@@ -80,29 +80,17 @@ def _lights(api):
     return [letters[name] for name in LANES]
 
 
-@pytest.mark.parametrize(
-    "features",
-    [
-        pytest.param({"inflow": 300.0}, marks=pytest.mark.long),
-        pytest.param({}, marks=pytest.mark.long),
-        pytest.param({"length": 100.0}, marks=pytest.mark.long),
-        pytest.param({"speed": 25.0}, marks=pytest.mark.long),
-    ],
-)
-def test_a_light_that_takes_turns_costs_as_much_as_in_sumo(features):
+@pytest.mark.long
+@pytest.mark.parametrize("features", [{"inflow": 300.0}, {}, {"length": 100.0}, {"speed": 25.0}])
+def test_a_light_that_takes_turns_costs_as_much_as_in_sumo(features, opened):
     seeds, held = 6, 3
-    env = Signal(features, visibility="hidden")
+    env = opened(Signal(features, visibility="hidden"))
     found = []
-    try:
-        for seed in range(seeds):
-            env.reset(seed=seed)
-            ended, k = False, 0
-            while not ended:
-                *_, terminated, truncated, info = env.step((k // held) % 4)
-                ended, k = terminated or truncated, k + 1
-            found.append([info[name] for name in MEASURES])
-    finally:
-        env.close()
+    for seed in range(seeds):
+        env.reset(seed=seed)
+        phases = (k // held % 4 for k in itertools.count())
+        outcomes = played(lambda each=phases: env.step(next(each)))
+        found.append([outcomes[-1][4][name] for name in MEASURES])
     twin, (params,) = SignalProblem()([features])
     state = twin.start(jnp.arange(64, dtype=jnp.uint32), params)
 

@@ -140,9 +140,7 @@ def cmdp():
 
 
 @pytest.mark.parametrize("speed", [3.5, 7.0, 14.0])
-def test_speeds_of_a_trip_add_up_to_its_length_so_the_papers_reward_hardly_asks_for_them(
-    speed,
-):
+def test_speeds_of_a_trip_add_up_to_its_length_so_the_papers_reward_hardly_asks_for_them(speed):
     steps = int(490.0 / (0.5 * speed))
     free = Costs(crawl=1.0, crawling=35.0, co2=0.0, scale=15.0)
     paper = eco.paper(free, jnp.full(steps, speed), jnp.zeros(steps)).sum()
