@@ -712,7 +712,9 @@ def _baselines(study: Study, trainer: Trainer) -> dict[str, Any]:
         return dict(own)
     ways = trainer.ways([study.space.context(0)])
     found = {way: way for way in ways if way != RANDOM_ACTIONS} | {**own}
-    return found or {"random actions": RANDOM_ACTIONS}
+    if ways and not found:
+        found = {"random actions": RANDOM_ACTIONS}
+    return found
 
 
 def _check_baselines(study: Study, trainer: Trainer) -> None:
@@ -725,5 +727,5 @@ def _check_baselines(study: Study, trainer: Trainer) -> None:
     if named and isinstance(trainer, MeasuringTrainer):
         ways = trainer.ways([study.space.context(0)])
         for name in named:
-            if name not in ways:
+            if ways and name not in ways:  # functions take anything for a policy
                 raise unknown_name("baseline of this system", name, ways)
