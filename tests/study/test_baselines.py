@@ -7,6 +7,7 @@ import pytest
 from line_problem import load, save
 
 import mbtl
+from mbtl.errors import UnknownName
 from mbtl.report import of_study, summarise_study
 from mbtl.report.content import content
 from mbtl.report.text import lines
@@ -65,6 +66,42 @@ def test_the_first_line_says_whether_training_is_worth_it():
     assert "s/veh" in first
     assert any(line.startswith("policies: V ") and "throughput 180 veh/h" in line for line in rest)
     assert any(line.startswith("fixed time: V 0.80") for line in rest)
+
+
+class WithRandomActions(FunctionTrainer):
+    """Its system can do that by itself: 20 s everywhere."""
+
+    def ways(self, contexts):
+        return ("random_actions",)
+
+    def measure(self, policy, contexts, seeds, names):
+        if policy == "random_actions":
+            return {"score": np.full((len(contexts), 3), 20.0)}
+        return super().measure(policy, contexts, seeds, names)
+
+
+@pytest.mark.parametrize(("baselines", "compared"), [({}, "random actions"), ({"old": 1.0}, "old")])
+def test_random_actions_stand_in_where_there_is_nothing_else(baselines, compared):
+    trainer = WithRandomActions(train, evaluate, save, load, score="delay")
+    study = mbtl.create_study(
+        dataclasses.replace(problem(baselines=baselines), trainer=trainer), budget=1,
+        strategy="equidistant",
+    )  # fmt: skip
+    study.run(progress=False)
+    (one,) = summarise_study(study).baselines
+    assert one.name == compared
+    if compared == "random actions":
+        assert one.value == pytest.approx(0.5)  # 20 s between 30 and 10
+        assert lines(summarise_study(study), SPACE)[0].startswith("Training is worth it: 0.")
+
+
+def test_a_baseline_that_the_system_does_not_know_is_refused_before_any_training():
+    trainer = WithRandomActions(train, evaluate, save, load, score="delay")
+    cmdp = dataclasses.replace(problem(baselines={"mine": "random_action"}), trainer=trainer)
+    study = mbtl.create_study(cmdp, budget=1, strategy="equidistant")
+    with pytest.raises(UnknownName, match="Did you mean 'random_actions'"):
+        study.run(progress=False)
+    assert not study.state.picks
 
 
 def test_the_page_speaks_the_unit_of_the_score_context_by_context():
