@@ -85,10 +85,7 @@ def median(costs: Iterable[Cost]) -> Cost:
     """Median of each clock (the upper one of an even number)."""
     every = list(costs)
     middle = len(every) // 2
-    return Cost(
-        sorted(c.wall for c in every)[middle],
-        sorted(c.cpu for c in every)[middle],
-    )
+    return Cost(sorted(c.wall for c in every)[middle], sorted(c.cpu for c in every)[middle])
 
 
 def digits(value: float, n: int = 4) -> float:

@@ -37,11 +37,7 @@ from mbtl.strategies import OnePolicy
 from mbtl.strategies.auto import Auto
 from mbtl.zoo.benchmark import levels
 from mbtl.zoo.benchmark.oracle import random_curve
-from mbtl.zoo.benchmark.trainings import (
-    TransferWorld,
-    replay_trainings,
-    specialists_of,
-)
+from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings, specialists_of
 from mbtl.zoo.benchmark.transfers import TransferData, load_transfers, transfer_ids
 from mbtl.zoo.cmdps import get_cmdp
 

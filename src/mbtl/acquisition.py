@@ -26,14 +26,7 @@ from mbtl.errors import InvalidInput
 from mbtl.models.transfer_kernel import NEW, Pairs
 from mbtl.objective import worst_share_mean
 
-__all__ = [
-    "TIE",
-    "RowGain",
-    "argmax_open",
-    "expected_gain",
-    "optimistic_gain",
-    "unit_improvement",
-]
+__all__ = ["TIE", "RowGain", "argmax_open", "expected_gain", "optimistic_gain", "unit_improvement"]
 
 TIE = 1e-12
 """Values closer than this are equal: two exact formulas may differ in their last digits."""

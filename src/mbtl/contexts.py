@@ -389,10 +389,7 @@ class ContextSpace:
 
     @classmethod
     def grid(
-        cls,
-        axes: Mapping[Axis, int | Sequence[Value]],
-        *,
-        weights: ArrayLike | None = None,
+        cls, axes: Mapping[Axis, int | Sequence[Value]], *, weights: ArrayLike | None = None
     ) -> ContextSpace:
         """Full factorial grid, last axis fastest.
 

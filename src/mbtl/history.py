@@ -25,11 +25,7 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.objective import generalisation_performance
 
-__all__ = [
-    "History",
-    "Training",
-    "standard_errors",
-]
+__all__ = ["History", "Training", "standard_errors"]
 
 
 @dataclass(frozen=True)

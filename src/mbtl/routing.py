@@ -26,15 +26,7 @@ from mbtl.history import USUAL
 from mbtl.models.beliefs import Beliefs
 from mbtl.objective import worst_share_mean, worst_share_weights
 
-__all__ = [
-    "TIE_DECIMALS",
-    "Routing",
-    "Valuation",
-    "last_route",
-    "rank",
-    "routed",
-    "routes",
-]
+__all__ = ["TIE_DECIMALS", "Routing", "Valuation", "last_route", "rank", "routed", "routes"]
 
 Indices = NDArray[np.intp]
 

@@ -9,11 +9,7 @@ from typing import Any
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.objective import Direction, direction_named
 
-__all__ = [
-    "RANDOM_ACTIONS",
-    "SCORE",
-    "Score",
-]
+__all__ = ["RANDOM_ACTIONS", "SCORE", "Score"]
 
 SCORE = "score"
 """Of all that is measured of an episode, what it is worth."""

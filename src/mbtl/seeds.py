@@ -84,11 +84,7 @@ def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
 
 
 def training_seed(
-    root: int,
-    trial: int,
-    source: int | Sequence[int],
-    retry: int = 0,
-    lineage: Sequence[int] = (),
+    root: int, trial: int, source: int | Sequence[int], retry: int = 0, lineage: Sequence[int] = ()
 ) -> int:
     """Seed of a training in `trial`; independent of the pick number.
 

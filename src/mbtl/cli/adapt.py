@@ -31,8 +31,7 @@ def adapt(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training and of the episodes.")] = 0,
     trust: Annotated[
-        bool,
-        typer.Option("--trust", help="Read policies that can run code, of a maker you trust."),
+        bool, typer.Option("--trust", help="Read policies that can run code, of a maker you trust.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:

@@ -16,8 +16,7 @@ _STYLE = {"passed": "green", "warning": "yellow", "failed": "bold red"}
 
 def check(
     target: Annotated[
-        str,
-        typer.Argument(help="A CMDP id; of your own, module:cmdp (or path.py:cmdp)."),
+        str, typer.Argument(help="A CMDP id; of your own, module:cmdp (or path.py:cmdp).")
     ],
     steps: Annotated[
         int | None, typer.Option(help="Environment steps per rollout; default: the CMDP's, or 200.")

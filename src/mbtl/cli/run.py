@@ -24,16 +24,7 @@ from mbtl.problems import resolve_cmdp
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
-from mbtl.study import (
-    Evaluation,
-    Failures,
-    Steps,
-    Stopping,
-    Study,
-    Workers,
-    ask,
-    create_study,
-)
+from mbtl.study import Evaluation, Failures, Steps, Stopping, Study, Workers, ask, create_study
 from mbtl.study.budget import counted
 from mbtl.study.study import run as run_study
 from mbtl.trainers.contract import Trainer

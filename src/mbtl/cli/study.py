@@ -85,11 +85,7 @@ def list_studies(
 
 
 @study_app.command("show")
-def show(
-    study: _Study,
-    name: _Name = None,
-    as_json: JsonFlag = False,
-) -> None:
+def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
     """Show the picks of a study, V, whether one policy is enough, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0

@@ -31,8 +31,7 @@ def worker(
         ),
     ],
     problem: Annotated[
-        str,
-        typer.Argument(metavar="CMDP", help="What it is a study of: an id, or module:problem."),
+        str, typer.Argument(metavar="CMDP", help="What it is a study of: an id, or module:problem.")
     ],
     name: Annotated[str | None, _option("Name of the study, where there are several.")] = None,
     artifacts: Annotated[

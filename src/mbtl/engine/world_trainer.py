@@ -497,19 +497,13 @@ class WorldTrainer:
         return returns, _each_of(self.problem, contexts)[:, None] + np.zeros_like(returns)
 
     def evaluate_many(
-        self,
-        policies: Sequence[MLPPolicy],
-        contexts: Sequence[Context],
-        seeds: Sequence[int] | int,
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> Array:
         """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
         return self._measured(policies, contexts, seeds)["score"]
 
     def _measured(
-        self,
-        policies: Sequence[MLPPolicy],
-        contexts: Sequence[Context],
-        seeds: Sequence[int] | int,
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> dict[str, Array]:
         """The same for all that the world measures, by name."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)

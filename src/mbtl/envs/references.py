@@ -21,15 +21,7 @@ from mbtl.envs.rollout import Actor, Job, play_counted
 from mbtl.errors import unknown_name
 from mbtl.score import RANDOM_ACTIONS, SCORE, Score
 
-__all__ = [
-    "ByItself",
-    "Controller",
-    "RandomActions",
-    "going",
-    "played",
-    "ways_in",
-    "ways_of",
-]
+__all__ = ["ByItself", "Controller", "RandomActions", "going", "played", "ways_in", "ways_of"]
 
 UNGUIDED = "unguided"
 

@@ -26,13 +26,7 @@ from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 
-__all__ = [
-    "ENDED",
-    "Actor",
-    "Job",
-    "play",
-    "play_counted",
-]
+__all__ = ["ENDED", "Actor", "Job", "play", "play_counted"]
 
 ROWS = 32
 """Observations per forward pass. Of 64-64 networks 32 rows cost about twice one row; of the four

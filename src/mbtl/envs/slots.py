@@ -27,14 +27,7 @@ from numpy.typing import NDArray
 from mbtl.envs.rollout import ENDED
 from mbtl.errors import InvalidInput, SimulationFailed
 
-__all__ = [
-    "SlotStep",
-    "Slots",
-    "Together",
-    "as_one",
-    "is_blank",
-    "seated",
-]
+__all__ = ["SlotStep", "Slots", "Together", "as_one", "is_blank", "seated"]
 
 Observation = NDArray[np.float32]
 

@@ -201,9 +201,7 @@ class Beliefs:
         return self._models[most]
 
     @cached_property
-    def _models(
-        self,
-    ) -> dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]]:
+    def _models(self) -> dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]]:
         return {}
 
     def _gain(self, deviations: Array, row: Indices, target: Indices) -> Array:

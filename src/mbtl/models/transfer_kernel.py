@@ -166,10 +166,7 @@ def covariance(places: Places, prior: TransferPrior, a: Pairs, b: Pairs) -> Arra
     total = of_targets(prior.target * _matern(apart, prior.target_length))
     total *= of_sources(1.0 + (prior.interaction / prior.target) * near)
     total += of_sources(prior.source * near)
-    shapes = (
-        (x, prior.gap, prior.gap_length),
-        (z, prior.log_gap, prior.log_gap_length),
-    )
+    shapes = ((x, prior.gap, prior.gap_length), (z, prior.log_gap, prior.log_gap_length))
     for place, size, length in shapes:
         along = _matern(_distance(place[some], place[some2]), prior.along_length)
         shift = _matern(_distance(place[t] - place[s], place[t2] - place[s2]), length)

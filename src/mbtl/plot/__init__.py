@@ -12,12 +12,4 @@ from mbtl.plot.maps import model, policy_map
 from mbtl.plot.matrices import matrix
 from mbtl.plot.style import save, style
 
-__all__ = [
-    "comparison",
-    "curve",
-    "matrix",
-    "model",
-    "policy_map",
-    "save",
-    "style",
-]
+__all__ = ["comparison", "curve", "matrix", "model", "policy_map", "save", "style"]

@@ -12,17 +12,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
-from mbtl.plot.style import (
-    GREY,
-    axes_for,
-    cells,
-    distinct,
-    dress,
-    edges,
-    number,
-    positions,
-    styled,
-)
+from mbtl.plot.style import GREY, axes_for, cells, distinct, dress, edges, number, positions, styled
 from mbtl.portfolio import Portfolio
 from mbtl.selectors.outlook import outlook
 from mbtl.study import Study

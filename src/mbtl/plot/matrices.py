@@ -14,11 +14,7 @@ from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
 
 @styled
 def matrix(
-    matrix: Any,
-    seed: int | None = None,
-    *,
-    picks: Sequence[int] = (),
-    ax: Any = None,
+    matrix: Any, seed: int | None = None, *, picks: Sequence[int] = (), ax: Any = None
 ) -> Any:
     """Performance of every policy (down the side) on every target (along the bottom).
 

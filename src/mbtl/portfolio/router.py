@@ -54,10 +54,7 @@ class Forecast:
 
 
 def forecast(
-    space: ContextSpace,
-    sources: Sequence[int],
-    beliefs: Beliefs,
-    context: Mapping[str, Value],
+    space: ContextSpace, sources: Sequence[int], beliefs: Beliefs, context: Mapping[str, Value]
 ) -> Forecast:
     """Performance of every policy on `context`, and how it is known.
 

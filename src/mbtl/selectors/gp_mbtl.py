@@ -21,12 +21,7 @@ from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.m_mbtl import middle
 from mbtl.selectors.mbtl import start
-from mbtl.selectors.model_based import (
-    choose,
-    fit_posterior,
-    gain_by_pairs,
-    observed_incumbent,
-)
+from mbtl.selectors.model_based import choose, fit_posterior, gain_by_pairs, observed_incumbent
 
 _SETTINGS = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))
 

@@ -64,9 +64,7 @@ T = TypeVar("T")
 Decided = TypeVar("Decided", bound=Event | None)
 
 
-def _alone(
-    method: Callable[Concatenate[AskTell, P], T],
-) -> Callable[Concatenate[AskTell, P], T]:
+def _alone(method: Callable[Concatenate[AskTell, P], T]) -> Callable[Concatenate[AskTell, P], T]:
     """What reads the state, while no other thread of this process changes it."""
 
     @wraps(method)

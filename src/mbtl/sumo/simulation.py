@@ -51,11 +51,7 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        options: Sequence[str],
-        *,
-        engine: Engine = "auto",
-        gui: bool = False,
+        self, options: Sequence[str], *, engine: Engine = "auto", gui: bool = False
     ) -> None:
         """Nothing is started yet.
 

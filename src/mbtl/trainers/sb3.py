@@ -445,12 +445,7 @@ class SB3Trainer:
             if team or lengths != settings:  # minibatches of episodes are as they come
                 warnings.filterwarnings("ignore", "You have specified a mini-batch size")
             model = algorithm(
-                self._policy(on_policy),
-                envs,
-                seed=seed,
-                device=self.device,
-                verbose=0,
-                **lengths,
+                self._policy(on_policy), envs, seed=seed, device=self.device, verbose=0, **lengths
             )
         # explores with other numbers than those that the environments draw
         model.action_space.seed(action_seed(seed))

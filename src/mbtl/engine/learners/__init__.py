@@ -14,13 +14,7 @@ from mbtl.engine.learners.algorithms import recipe_named
 from mbtl.engine.learners.blocks import Block, from_arrays, to_arrays
 from mbtl.engine.learners.episodic.episodes import Actor, actor_of, import_actor
 from mbtl.engine.learners.episodic.learning import episodes_met
-from mbtl.engine.learners.evaluation import (
-    evaluate,
-    joined,
-    measured,
-    on_cpu,
-    taken,
-)
+from mbtl.engine.learners.evaluation import evaluate, joined, measured, on_cpu, taken
 from mbtl.engine.learners.export import export_policies, taught
 from mbtl.engine.learners.growing import Growing, stage
 from mbtl.engine.learners.loop import in_sets, start, train

@@ -12,12 +12,7 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from mbtl.engine.learners.recipes import (
-    DQNRecipe,
-    EpisodicDQNRecipe,
-    EpisodicPPORecipe,
-    PPORecipe,
-)
+from mbtl.engine.learners.recipes import DQNRecipe, EpisodicDQNRecipe, EpisodicPPORecipe, PPORecipe
 from mbtl.engine.worlds.environments import Tree
 
 

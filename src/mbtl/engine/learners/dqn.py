@@ -127,12 +127,7 @@ def fallen(recipe: DQNRecipe | EpisodicDQNRecipe, share: jax.Array) -> jax.Array
 
 
 def explore(
-    world: Solo,
-    recipe: DQNRecipe,
-    state: State,
-    params: Tree,
-    now: Round,
-    total: jax.Array,
+    world: Solo, recipe: DQNRecipe, state: State, params: Tree, now: Round, total: jax.Array
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
     network, n, f = state.weights.actor, networks.options(world), world.n_features

@@ -96,11 +96,7 @@ class Growing(NamedTuple):
         return export_policies(self.world, weights, self.recipe.activation)
 
     def _learn(
-        self,
-        training: Training,
-        until: int,
-        pace: Pace,
-        on_block: Callable[[Block], None] | None,
+        self, training: Training, until: int, pace: Pace, on_block: Callable[[Block], None] | None
     ) -> Training:
         n_contexts = self.params.visible.shape[1] if self.params.visible.ndim == 3 else 1
         return train(

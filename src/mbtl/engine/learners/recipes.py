@@ -514,10 +514,7 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
         "paper": TRPORecipe(),
         "team": TRPORecipe(
-            critic_learning_rate=1e-3,
-            normalize_reward=False,
-            center_reward=False,
-            credit="team",
+            critic_learning_rate=1e-3, normalize_reward=False, center_reward=False, credit="team"
         ),
     },
     "A2C": {"fast": replace(_FAST, **_ONE_STEP)},

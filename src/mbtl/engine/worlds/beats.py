@@ -153,11 +153,7 @@ def _in_beats(
 
 
 def played(
-    twin: World,
-    length: Length,
-    state: Tree,
-    params: Tree,
-    told: Callable[[Tree, jax.Array], Any],
+    twin: World, length: Length, state: Tree, params: Tree, told: Callable[[Tree, jax.Array], Any]
 ) -> Tree:
     """The state after the longest episode, of which nothing is kept.
 

@@ -308,9 +308,7 @@ def _axis(params: Tree) -> int | None:
 
 
 def stack_params(
-    world: World | Environment,
-    constants: Sequence[Any],
-    visible: ArrayLike | None = None,
+    world: World | Environment, constants: Sequence[Any], visible: ArrayLike | None = None
 ) -> Any:
     """Parameters of many contexts, one leading axis, matched by name.
 

@@ -131,10 +131,7 @@ def _train(piece: Piece) -> Policies:
     trainer = piece.trainer
     if isinstance(trainer, ManyTrainer):
         policies: Policies = trainer.train_many(
-            piece.contexts,
-            piece.seeds,
-            keep=piece.keep,
-            state=_partial(piece),
+            piece.contexts, piece.seeds, keep=piece.keep, state=_partial(piece)
         )
     else:
         pairs = zip(piece.contexts, piece.seeds, strict=True)

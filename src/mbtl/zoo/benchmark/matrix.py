@@ -417,11 +417,7 @@ class TransferMatrix:
 
     @classmethod
     def of_episodes(
-        cls,
-        returns: Floats,
-        *,
-        references: Mapping[str, Floats] | None = None,
-        **entries: Any,
+        cls, returns: Floats, *, references: Mapping[str, Floats] | None = None, **entries: Any
     ) -> TransferMatrix:
         """Build a matrix from single episodes, the same ones for every policy.
 

@@ -30,13 +30,7 @@ from mbtl.engine import lazy as engine
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput, cannot_write
 from mbtl.files import claimed_folder, whole_file
-from mbtl.seeds import (
-    MATRIX_TRIAL,
-    PER_TARGET,
-    episode_seeds,
-    evaluation_seeds,
-    training_seed,
-)
+from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import Progress, Trainer, recipe_of, refusal
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.provenance import here

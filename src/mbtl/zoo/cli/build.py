@@ -61,8 +61,7 @@ def build(
         int, typer.Option(help="Keep only every n-th context of the grid, per axis.")
     ] = 1,
     sources_every: Annotated[
-        int,
-        typer.Option(help="Train only on every n-th context; all stay targets."),
+        int, typer.Option(help="Train only on every n-th context; all stay targets.")
     ] = 1,
     algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
     recipe: Annotated[

@@ -58,8 +58,7 @@ def play(
         Path | None, typer.Option(help="Save every decision in this table: seen, done, reward.")
     ] = None,
     trust: Annotated[
-        bool,
-        typer.Option("--trust", help="Read policies that can run code, of a maker you trust."),
+        bool, typer.Option("--trust", help="Read policies that can run code, of a maker you trust.")
     ] = False,
     json: JsonFlag = False,
 ) -> None:

@@ -36,8 +36,7 @@ _OUT = Path("runs/reproduction")
 
 def reproduce_command(
     cmdp: Annotated[
-        list[str] | None,
-        typer.Argument(help="Ids of CMDPs; default: all 22 of the paper."),
+        list[str] | None, typer.Argument(help="Ids of CMDPs; default: all 22 of the paper.")
     ] = None,
     item: Annotated[
         list[str] | None,

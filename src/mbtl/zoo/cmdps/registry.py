@@ -8,13 +8,7 @@ from typing import Any
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.problems.cmdp import CMDP, Preset
 from mbtl.trainers.contract import Trainer
-from mbtl.zoo.cmdps.engines import (
-    ENGINES,
-    EnvFactory,
-    JaxProblem,
-    TwinProblem,
-    jax_is_installed,
-)
+from mbtl.zoo.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
 from mbtl.zoo.cmdps.families import FAMILIES, VARIANTS
 from mbtl.zoo.cmdps.family import Family, TwinFamily, Variant
 
@@ -36,10 +30,7 @@ def cmdp_ids() -> list[str]:
 def engines_of(id: str) -> list[str]:
     """Where a CMDP is simulated; each has presets of its own."""
     _, family = _entry(id)
-    others = {
-        "jax": family.jax is not None,
-        "sumo-jax": bool(family.in_processes),
-    }
+    others = {"jax": family.jax is not None, "sumo-jax": bool(family.in_processes)}
     return [family.simulator, *(engine for engine, there in others.items() if there)]
 
 

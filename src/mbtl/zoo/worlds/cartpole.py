@@ -9,12 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from mbtl.engine.worlds.environments import (
-    Discrete,
-    Step,
-    TimeLimit,
-    stack_observation,
-)
+from mbtl.engine.worlds.environments import Discrete, Step, TimeLimit, stack_observation
 
 X_LIMIT = 2.4
 ANGLE_LIMIT = math.radians(12.0)

@@ -29,11 +29,7 @@ from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import World, of_simulations
 from mbtl.errors import InvalidInput
 
-_ALGORITHMS: Mapping[type, Any] = {
-    TRPORecipe: trpo,
-    EpisodicPPORecipe: ppo,
-    EpisodicDQNRecipe: dqn,
-}
+_ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo, EpisodicDQNRecipe: dqn}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
 
 # streams of random numbers: seeds of training episodes, and their contexts where there are several

@@ -220,12 +220,7 @@ def corridor(light: Light) -> Path:
     )
     links = "".join(
         f'<connection from="{a}" to="{b}" fromLane="0" toLane="0" keepClear="0"/>'
-        for a, b in (
-            ("AB", "approach"),
-            ("AA", "approach"),
-            ("approach", "box"),
-            ("box", "exit"),
-        )
+        for a, b in (("AB", "approach"), ("AA", "approach"), ("approach", "box"), ("box", "exit"))
     )
     return network(
         {

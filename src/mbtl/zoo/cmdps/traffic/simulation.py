@@ -108,11 +108,7 @@ class Traffic(Contextual):
         if render_mode not in (None, "rgb_array"):
             raise unknown_name("render mode", render_mode, ["rgb_array"])
         super().__init__(
-            context,
-            unit=unit,
-            visibility=visibility,
-            time_limit=time_limit,
-            horizon=horizon,
+            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
         self.render_mode = render_mode
         self._picture: Image | None = None

@@ -647,10 +647,7 @@ class CrossingTwin(Seeded):
         lost = jnp.where(on_road, 1.0 - after.v / limit, 0.0).sum(axis=(0, 1))
         lost += jnp.where(enters, now.time - jnp.floor(next_), 0.0).sum(axis=0)
         return _Second(
-            after,
-            now.come + enters,
-            now.time + moves,
-            now.lost + jnp.where(moves, lost, 0.0),
+            after, now.come + enters, now.time + moves, now.lost + jnp.where(moves, lost, 0.0)
         )
 
     def _speeds(

@@ -956,9 +956,7 @@ class EcoTwin(Seeded):
             fronts.append(front)
             tails.append(count)
         new = Cars(
-            x=jnp.stack(fronts),
-            speed=jnp.full_like(car.length, road.entry_speed),
-            **car._asdict(),
+            x=jnp.stack(fronts), speed=jnp.full_like(car.length, road.entry_speed), **car._asdict()
         )
         return jnp.stack(enters), new, tails
 

@@ -796,12 +796,7 @@ class RampTwin(Holds):
         return self._decided(state, held, params)
 
     def _through(
-        self,
-        state: RampState,
-        held: Held,
-        steps: jax.Array | int,
-        due: jax.Array,
-        over: jax.Array,
+        self, state: RampState, held: Held, steps: jax.Array | int, due: jax.Array, over: jax.Array
     ) -> tuple[RampState, Held]:
         """So many steps; a decision was `due` before them, and where it is `over` none counts."""
 
