@@ -65,7 +65,7 @@ def ran(finished, own, tmp_path):
 def test_the_main_job_leaves_a_study_a_portfolio_and_pictures(finished):
     folder, document, err = finished
     assert len(document["picks"]) == 4
-    assert document["finished"] == "the budget of 4 trainings is spent"
+    assert document["finished"] == "the budget of 4 units is spent"
     assert document["fresh_value"] <= 1.0
     assert len(document["serving"]) == 15
     for name in ("curve.png", "policy-map.png", "study.db", "portfolio/portfolio.json"):
@@ -152,7 +152,7 @@ def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(
     [
         ("problem", ("--stop-value", "0.1"), 1, "reaches the level"),
         ("flat", (), 1, "within 0.005 of the largest there can be"),
-        ("flat", ("--all",), 2, "the budget of 2 trainings is spent"),
+        ("flat", ("--all",), 2, "the budget of 2 units is spent"),
     ],
 )
 @pytest.mark.usefixtures("own")

@@ -103,7 +103,7 @@ def test_one_policy_goes_on_with_its_own_weights(parallel):
         None, 1.0, 2.0, 4.0,
     ]  # fmt: skip
     assert [pick.price for pick in study.state.picks] == [1.0, 1.0, 2.0, 3.0]
-    assert study.stop_reason == "the budget of 7 trainings is spent"
+    assert study.stop_reason == "the budget of 7 units is spent"
     assert study.history.made(2).goes_on
 
 

@@ -87,7 +87,8 @@ def spent(state: StudyState) -> str | None:
     spec = state.spec
     if spec.steps is None:
         over = state.paid > spec.budget - LEAST_UNIT
-        return f"the budget of {spec.budget} trainings is spent" if over else None
+        what = "units" if spec.any_training else "trainings"
+        return f"the budget of {spec.budget} {what} is spent" if over else None
     left = _steps_left(state)
     least = 0.0 if spec.any_training else state.unit_steps
     if left >= least + state.target_steps * min(LEAST_TARGETS, spec.space.n):
