@@ -168,14 +168,14 @@ def oracle(data: TransferData, seed: int, budget: float) -> float:
             for seen, fresh in done:
                 now, best = np.where(seen > best, fresh, now), np.maximum(seen, best)
             worth = {
-                pair: (np.maximum(each[0], best) @ weights - best @ weights) / pair[1]
+                pair: (np.maximum(each[0], best) - np.maximum(best, -1e6)) @ weights / pair[1]
                 for pair, each in known.items()
                 if pair[0] <= length and pair[1] <= left
             }
             if not worth:
                 break
-            pair = max(worth, key=lambda one: np.nan_to_num(worth[one], posinf=1e9).max())
-            which = int(np.nan_to_num(worth[pair], posinf=1e9).argmax())
+            pair = max(worth, key=lambda one: worth[one].max())
+            which = int(worth[pair].argmax())
             done, left = [known[pair][:, which]], left - pair[1]
         plans.append((best @ weights, now @ weights))
     return float(max(plans)[1])

@@ -37,9 +37,9 @@ class Paying:
         pass
 
 
-def portfolio(direction="maximize"):
+def portfolio(direction="maximize", steps=STEPS):
     sign = 1.0 if direction == "maximize" else -1.0
-    returns = sign * STEPS * PAY
+    returns = sign * steps * PAY
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 2})
     bounds = Bounds(min(0.0, 30.0 * sign), max(0.0, 30.0 * sign), direction)
     policies = {
@@ -103,7 +103,7 @@ def test_parts_follow_bayes_and_their_return_does_not_count_twice():
 
 
 def test_features_tell_what_rewards_show_too_late():
-    served, late = portfolio(), STEPS - 4
+    served, late = portfolio(steps=4), STEPS - 4
     make_env = lambda context: Paying(context, late=late)  # noqa: E731
     blind = served.adaptive(signs=served.signs(make_env, every=2))
     assert serve(blind, make_env({"x": 0.0}))[0] == 2 * 2.0
@@ -118,6 +118,11 @@ def test_what_is_no_part_is_refused():
         served.signs(Paying, every=0)
     with pytest.raises(InvalidInput, match="must be finite numbers"):
         served.signs(Paying, every=2, features=lambda seen, done: [np.nan])
+    with pytest.raises(InvalidInput, match=r"add up to 11\.67 where returns are 4\.667"):
+        portfolio(steps=4).signs(Paying)
+    counts = iter(range(1, 1000))
+    with pytest.raises(InvalidInput, match="as many features, got 1, 2"):
+        served.signs(Paying, every=5, features=lambda seen, done: np.ones(next(counts) % 2 + 1))
     without = served.adaptive()
     without.step(np.zeros(1), 2, 0.0)
     np.testing.assert_array_equal(without.chances, [0.5, 0.5])

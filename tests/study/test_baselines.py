@@ -95,6 +95,21 @@ def test_random_actions_stand_in_where_there_is_nothing_else(baselines, compared
         assert lines(summarise_study(study), SPACE)[0].startswith("Training is worth it: 0.")
 
 
+def test_what_nobody_asked_for_cannot_cost_the_fresh_v(capsys):
+    class Diverging(WithRandomActions):
+        def measure(self, policy, contexts, seeds, names):
+            if policy == "random_actions":
+                raise RuntimeError("the simulator diverged")
+            return super().measure(policy, contexts, seeds, names)
+
+    trainer = Diverging(train, evaluate, save, load, score="delay")
+    cmdp = dataclasses.replace(problem(), trainer=trainer)
+    study = mbtl.create_study(cmdp, budget=1, strategy="equidistant")
+    assert study.run().fresh is not None
+    assert "'random actions' could not be compared: RuntimeError" in capsys.readouterr().err
+    assert not summarise_study(study).baselines
+
+
 def test_a_baseline_that_the_system_does_not_know_is_refused_before_any_training():
     trainer = WithRandomActions(train, evaluate, save, load, score="delay")
     cmdp = dataclasses.replace(problem(baselines={"mine": "random_action"}), trainer=trainer)

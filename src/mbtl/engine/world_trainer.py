@@ -105,7 +105,7 @@ class WorldTrainer:
 
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
-        "contexts": "uniform, one per episode, four or more in an update",
+        "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
         "schedule": "falling slowly, and to zero along a last fifth",
         "checkpoint": "final",
     }

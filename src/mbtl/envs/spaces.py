@@ -104,7 +104,7 @@ def told_apart(here: Any, there: Any) -> tuple[str, str]:
     """Two spaces that differ: of long vectors, the first place where their bounds do."""
     vectors = isinstance(here, spaces.Box) and isinstance(there, spaces.Box)
     if vectors and here.shape == there.shape and here.dtype == there.dtype:
-        differ = (here.low != there.low) | (here.high != there.high)
+        differ = ~(np.isclose(here.low, there.low) & np.isclose(here.high, there.high))
         at = tuple(np.argwhere(differ)[0].tolist())
         one, other = (f"{box.low[at]:g} to {box.high[at]:g} in place {at}" for box in (here, there))
         return one, other

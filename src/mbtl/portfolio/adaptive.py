@@ -181,12 +181,14 @@ class Adaptive:
             self._weigh(signs, shown(steps, signs.every, signs.features))
 
     def _weigh(self, signs: Signs, seen: Array) -> None:
-        """The same, by the vector of the part."""
+        """The same, by the vector of the part, as far as it was recorded."""
+        seen = seen[: signs.mean.shape[3]]
         here = (self.next, slice(None), self._part, slice(len(seen)))
         width = signs.width[: len(seen)]
         deviation = np.hypot(signs.deviation[here], _BLUR * width)
         chance = np.log(_density(seen, signs.mean[here], deviation, width)).sum(axis=1)
-        told = np.maximum(self.chances * np.exp(chance - chance.max()), _NEVER)
+        told = self.chances * np.exp(chance - chance.max())
+        told = np.where(self.space.weights > 0.0, np.maximum(told, _NEVER), 0.0)
         self.chances = told / told.sum()
         self._part += 1
         to_go = signs.to_go[:, :, self._part] @ self.chances

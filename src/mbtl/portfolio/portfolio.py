@@ -9,6 +9,7 @@ Notation (shapes): k policies, N listed contexts.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +32,9 @@ from mbtl.portfolio.served import Served
 from mbtl.portfolio.signs import Features, Signs, played, stacked
 from mbtl.routing import Routing, rank
 from mbtl.seeds import Purpose, episode_seeds, evaluation_seeds
+
+_OFF = 0.1
+"""Share of the bounds' width by which rewards may miss returns, beyond their scatter."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -235,7 +239,7 @@ class Portfolio:
         """Serve a context that is not told, from the returns of the episodes there.
 
         Args:
-            episodes: how many are expected; the more, the more is tried out.
+            episodes: how many are expected; the more, the more is tried out, without `signs`.
             forget: chance per episode that the context has changed.
             signs: what `signs` recorded, to change the policy within episodes, too.
         """
@@ -254,6 +258,8 @@ class Portfolio:
     ) -> Signs:
         """Record what each policy shows, part by part, in each listed context: see `adaptive`.
 
+        Plays k x N x `episodes` whole episodes in this process, with policies that `predict`.
+
         Args:
             make_env: context -> Gymnasium environment, whose rewards add up to the return.
             every: steps of a part.
@@ -264,7 +270,8 @@ class Portfolio:
             seed: of the episodes, which are the same for every policy.
 
         Raises:
-            InvalidInput: fewer than one step or two episodes, or features that are not finite.
+            InvalidInput: fewer than one step or two episodes, features that are not finite or not
+                always as many, or rewards that do not add up to the returns.
         """
         if every < 1 or episodes < 2:
             raise InvalidInput(
@@ -274,17 +281,28 @@ class Portfolio:
         found = list[list[Array]]()
         seeds = episode_seeds(seed, self.space.n, episodes)
         for context, some in zip(self.space.contexts, seeds, strict=True):
-            env = make_env(dict(context))
-            for i in range(len(self)):
-                found += [played(env, self.policy(i), one, every, features) for one in some]
-            env.close()
+            with closing(make_env(dict(context))) as env:
+                for i in range(len(self)):
+                    found += [played(env, self.policy(i), one, every, features) for one in some]
         each = stacked(found)
         each = each.reshape(self.space.n, len(self), episodes, *each.shape[1:]).swapaxes(0, 1)
         mean = np.ma.masked_invalid(each).mean(axis=2).filled(np.nan)
         deviation = np.empty_like(mean)
         for p, j in np.ndindex(mean.shape[2:]):
             deviation[..., p, j] = deviations(list(each[..., p, j]), mean.shape[:2], 1.0)
-        return Signs(every, mean, deviation, features)
+        signs = Signs(every, mean, deviation, features)
+        self._check_adds_up(signs.to_go[:, :, 0], np.sqrt((deviation[..., 0] ** 2).sum(axis=2)))
+        return signs
+
+    def _check_adds_up(self, earned: Array, deviation: Array) -> None:
+        """Whoever is judged by something else than rewards cannot be chosen by them."""
+        off = np.abs(earned - self.returns) - deviation
+        if np.nanmedian(off) > _OFF * (self.bounds.high - self.bounds.low):
+            raise InvalidInput(
+                "signs need rewards that add up to the return, and these add up to "
+                f"{np.nanmean(earned):.4g} where returns are {np.nanmean(self.returns):.4g} in the "
+                "mean; give an environment that is rewarded by the score"
+            )
 
     def evaluate(
         self,

@@ -86,6 +86,11 @@ def played(env: Any, policy: Any, seed: int, every: int, features: Features | No
 def stacked(episodes: Sequence[Sequence[Array]]) -> Array:
     """(E, P, m) of the vectors of each episode's parts; after its end no rewards, no features."""
     entries = max(len(vector) for parts in episodes for vector in parts)
+    counts = {len(vector) for parts in episodes for vector in parts} - {1}
+    if len(counts) > 1:
+        raise InvalidInput(
+            f"every part has as many features, got {', '.join(str(n - 1) for n in sorted(counts))}"
+        )
     found = np.full((len(episodes), max(map(len, episodes)), entries), np.nan)
     found[:, :, 0] = 0.0
     for e, parts in enumerate(episodes):

@@ -676,7 +676,15 @@ def _play(
         return completed(returns), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
-    others = [play(policy, plan.contexts, own=False) for policy in baselines.values()]
+    others, baselines = [], dict(baselines)
+    for name, policy in list(baselines.items()):
+        try:
+            others.append(play(policy, plan.contexts, own=False))
+        except FAULTS as error:
+            if name in study.beside.baselines:
+                raise
+            del baselines[name]  # nobody asked for it, so V must not be lost by it
+            announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
     episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others))
     served, alone = np.full((2, n, episodes), np.nan)
     metrics = np.full((1 + len(others), len(names), n), np.nan)

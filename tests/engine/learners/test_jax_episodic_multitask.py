@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mbtl.engine.learners.episodic.learning import contexts_met
+from mbtl.engine.learners.recipes import EpisodicDQNRecipe, EpisodicPPORecipe, of_several
 from mbtl.problems import get_cmdp
 
 
@@ -32,6 +33,11 @@ def test_an_update_for_several_contexts_sees_four_of_them_or_all(given, holds, m
     )
     growing = trainer._growing([[{"hold": float(hold)} for hold in range(1, holds + 1)]], [0])
     assert (growing.recipe.n_episodes, growing.whole) == (met, -(-8 // met))
+
+
+def test_what_others_learn_from_an_episode_stays():
+    assert of_several(EpisodicDQNRecipe(), 40) == EpisodicDQNRecipe()
+    assert of_several(EpisodicPPORecipe(), 40) == EpisodicPPORecipe()
 
 
 @pytest.mark.long

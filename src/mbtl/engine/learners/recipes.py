@@ -351,18 +351,6 @@ class TwinRecipe(Learner):
         return self.n_episodes
 
 
-_AT_ONCE = 4
-"""Contexts, an episode in each, from which an update of a policy for several learns at least."""
-
-
-def of_several(one: TwinRecipe, n_contexts: int) -> TwinRecipe:
-    """The recipe of one policy for several contexts: an update sees four of them, or all.
-
-    By the episode of one context a policy is pulled away from all others (docs/decisions.md).
-    """
-    return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
-
-
 @dataclass(frozen=True)
 class EpisodicActorCritic(TwinRecipe, ActorCritic):
     """What TRPO and PPO have beside that.
@@ -408,6 +396,21 @@ class TRPORecipe(EpisodicActorCritic):
     clip_actions: bool = True
     normalize_reward: bool = True
     center_reward: bool = True
+
+
+_AT_ONCE = 4
+"""Contexts, an episode in each, from which an update of a policy for several learns at least."""
+
+
+def of_several(one: TwinRecipe, n_contexts: int) -> TwinRecipe:
+    """The recipe of one policy for several contexts: an update of TRPO sees four of them, or all.
+
+    By the episode of one context a policy is pulled away from all others (docs/decisions.md). What
+    others learn from an episode would shrink with the number of updates.
+    """
+    if not isinstance(one, TRPORecipe):
+        return one
+    return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
 
 
 @dataclass(frozen=True)
