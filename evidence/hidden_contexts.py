@@ -72,6 +72,13 @@ def reached(
     return found
 
 
+def ends(served: Portfolio, truth: np.ndarray, some: np.ndarray) -> tuple[float, float]:
+    """Mean performance in some contexts: of the best single policy, and with the context told."""
+    known = served.performance
+    low = truth[known.mean(axis=1).argmax(), some].mean()
+    return low, truth[known.argmax(axis=0)[some], some].mean()
+
+
 def main() -> None:
     print(f"| matrix | best single | told | share in episode {SHOWN} | without exploration |")
     print("|---|---|---|---|---|")
@@ -84,9 +91,7 @@ def main() -> None:
         if matrix.std is None or matrix.fresh_returns is None:
             continue
         served, truth, std = portfolio_of(matrix)
-        known, some = served.performance, np.arange(0, matrix.n, EVERY)
-        low = truth[known.mean(axis=1).argmax(), some].mean()
-        high = truth[known.argmax(axis=0)[some], some].mean()
+        low, high = ends(served, truth, np.arange(0, matrix.n, EVERY))
         row = f"| {id}{'-hidden' if hidden else ''} | {low:.3f} | {high:.3f} |"
         if high - low < LITTLE:
             print(f"{row} little to gain | |", flush=True)
@@ -107,7 +112,7 @@ def everybody() -> None:
             continue
         data = load_transfers(name, folder=SMALL)
         run = replay_trainings(get_selector("mbtl"), TransferWorld(data, 0), SPECIALISTS)
-        picks = np.array(run.history.sources)
+        picks = run.history.sources
         rows = np.searchsorted(data.sources, picks)
         long, short = data.generalists[4.0][0], data.generalists[1.0][0]
         std = data.std["specialists"][0, rows]
@@ -115,14 +120,15 @@ def everybody() -> None:
         alone = data.specialists[0][:, rows]
         mixed = np.concatenate([short[:, None], alone[:, :-1]], axis=1)
         line = [float(data.bounds.normalise(long[1]).mean())]
-        for half, spread in ((alone, std), (mixed, np.concatenate([first[None], std[:-1]]))):
-            sources = tuple(picks) if half is alone else (data.n // 2, *picks[:-1])
+        for sources, half, spread in (
+            (picks, alone, std),
+            ((data.n // 2, *picks[:-1]), mixed, np.concatenate([first[None], std[:-1]])),
+        ):
             served = Portfolio(data.space, sources, half[0], data.bounds, episodes(half[0], spread))
             truth = data.bounds.normalise(half[1])
-            best = served.performance.mean(axis=1).argmax()
-            told = truth[served.performance.argmax(axis=0), np.arange(data.n)]
+            single, told = ends(served, truth, np.arange(data.n))
             seen = reached(served, truth, spread, True, every=1)
-            line += [truth[best].mean(), *seen[[0, 2, 9]], told.mean()]
+            line += [single, *seen[[0, 2, 9]], told]
         found.append(line)
         print(name, np.round(line, 3), flush=True)
     table = np.array(found)

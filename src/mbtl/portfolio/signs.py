@@ -85,13 +85,12 @@ def played(env: Any, policy: Any, seed: int, every: int, features: Features | No
 
 def stacked(episodes: Sequence[Sequence[Array]]) -> Array:
     """(E, P, m) of the vectors of each episode's parts; after its end no rewards, no features."""
-    entries = max(len(vector) for parts in episodes for vector in parts)
-    counts = {len(vector) for parts in episodes for vector in parts} - {1}
-    if len(counts) > 1:
+    entries = {len(vector) for parts in episodes for vector in parts}
+    if len(counts := sorted(entries - {1})) > 1:  # of whole parts
         raise InvalidInput(
-            f"every part has as many features, got {', '.join(str(n - 1) for n in sorted(counts))}"
+            f"every part has as many features, got {', '.join(str(n - 1) for n in counts)}"
         )
-    found = np.full((len(episodes), max(map(len, episodes)), entries), np.nan)
+    found = np.full((len(episodes), max(map(len, episodes)), max(entries)), np.nan)
     found[:, :, 0] = 0.0
     for e, parts in enumerate(episodes):
         for p, vector in enumerate(parts):

@@ -189,8 +189,7 @@ class CMDP:
             self.space.encode(self.nominal)
         self._check_unit()
         if not self.presets:
-            only = Preset(min(DEFAULT_BUDGET, self.space.n))
-            object.__setattr__(self, "presets", {"default": only})
+            object.__setattr__(self, "presets", _only_preset(self.space))
         for name, preset in self.presets.items():
             if not 1 <= preset.budget <= self.space.n:
                 raise InvalidInput(
@@ -483,5 +482,6 @@ class CMDP:
                 )
 
 
-def _only_preset(space: ContextSpace, budget: int | None) -> dict[str, Preset]:
+def _only_preset(space: ContextSpace, budget: int | None = None) -> dict[str, Preset]:
+    """The recipe of a problem that names none: the trainer's own, so many trainings."""
     return {"default": Preset(min(DEFAULT_BUDGET, space.n) if budget is None else budget)}

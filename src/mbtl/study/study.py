@@ -676,16 +676,16 @@ def _play(
         return completed(returns), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
-    others, baselines = [], dict(baselines)
-    for name, policy in list(baselines.items()):
+    others: dict[str, tuple[Array, Array]] = {}
+    for name, policy in baselines.items():
         try:
-            others.append(play(policy, plan.contexts, own=False))
+            others[name] = play(policy, plan.contexts, own=False)
         except FAULTS as error:
             if name in study.beside.baselines:
                 raise
-            del baselines[name]  # nobody asked for it, so V must not be lost by it
+            # nobody asked for it, so V must not be lost by it
             announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
-    episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others))
+    episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others.values()))
     served, alone = np.full((2, n, episodes), np.nan)
     metrics = np.full((1 + len(others), len(names), n), np.nan)
     alone[plan.contexts] = found[plan.best_single][0][:, :episodes]
@@ -696,8 +696,8 @@ def _play(
         metrics[0][:, targets[mine]] = means[:, mine]
     if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
-    compared = {name: np.full((n, episodes), np.nan) for name in baselines}
-    for k, (name, (returns, means)) in enumerate(zip(baselines, others, strict=True)):
+    compared = {name: np.full((n, episodes), np.nan) for name in others}
+    for k, (name, (returns, means)) in enumerate(others.items()):
         compared[name][plan.contexts] = returns[:, :episodes]
         metrics[1 + k][:, plan.contexts] = means
     study.record_fresh_returns(
@@ -715,11 +715,9 @@ def _baselines(study: Study, trainer: Trainer) -> dict[str, Any]:
 
     Random actions where there is neither, so that it is said whether training is worth it.
     """
-    own = study.beside.baselines
-    if not isinstance(trainer, MeasuringTrainer):
-        return dict(own)
-    ways = trainer.ways([study.space.context(0)])
-    found = {way: way for way in ways if way != RANDOM_ACTIONS} | {**own}
+    ways = _ways(study, trainer)
+    found: dict[str, Any] = {way: way for way in ways if way != RANDOM_ACTIONS}
+    found |= study.beside.baselines
     if ways and not found:
         found = {"random actions": RANDOM_ACTIONS}
     return found
@@ -732,8 +730,14 @@ def _check_baselines(study: Study, trainer: Trainer) -> None:
         UnknownName: of a baseline.
     """
     named = [one for one in study.beside.baselines.values() if isinstance(one, str)]
-    if named and isinstance(trainer, MeasuringTrainer):
-        ways = trainer.ways([study.space.context(0)])
-        for name in named:
-            if ways and name not in ways:  # functions take anything for a policy
-                raise unknown_name("baseline of this system", name, ways)
+    ways = _ways(study, trainer) if named else ()
+    for name in named:
+        if ways and name not in ways:  # functions take anything for a policy
+            raise unknown_name("baseline of this system", name, ways)
+
+
+def _ways(study: Study, trainer: Trainer) -> tuple[str, ...]:
+    """How the system goes without a policy; none where the trainer does not know."""
+    if not isinstance(trainer, MeasuringTrainer):
+        return ()
+    return trainer.ways([study.space.context(0)])
