@@ -106,6 +106,7 @@ class WorldTrainer:
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
         "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
+        "layers": "twice as wide by PPO that counts steps, in worlds without a recipe of their own",
         "schedule": "falling slowly, and to zero along a last fifth",
         "checkpoint": "final",
     }
@@ -279,7 +280,8 @@ class WorldTrainer:
         start: Any = None,
     ) -> Any:
         """Trainings as the recipe says, each on one of the contexts."""
-        (world, params), recipe = lessons, self.learner
+        world, params = lessons
+        recipe, weights = self._begun(world, self.learner, start)
         metric = "episode_return" if self.episodes is None else "score"
 
         def on_block(block: Any) -> None:
@@ -298,7 +300,7 @@ class WorldTrainer:
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self.how,
             only_best=only_best,
-            weights=None if start is None else engine.taught(world, start, recipe.activation),
+            weights=weights,
             saved=_saved(world, state),
         )
 
@@ -314,7 +316,9 @@ class WorldTrainer:
     ) -> Trained:
         """One training of a given length, from where it is."""
         growing = self._growing([contexts], [seed])
-        world, recipe = growing.world, growing.recipe
+        world = growing.world
+        recipe, weights = self._begun(world, growing.recipe, start)
+        growing = growing._replace(recipe=recipe)
         n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
         file = _saved(world, state)
         each: Any = () if by_steps else _each_of(self.problem, contexts)
@@ -328,7 +332,6 @@ class WorldTrainer:
             return int(engine.episodes_met(seed, updates, n, unit) @ each)
 
         def fresh() -> Any:
-            weights = None if start is None else engine.taught(world, start, recipe.activation)
             return growing.start(weights)
 
         training = file.load(fresh)
@@ -420,13 +423,18 @@ class WorldTrainer:
         n = len(sets[0])
         world, params = self._lessons([context for some in sets for context in some])
         recipe = self.learner
-        if n > 1 and self.episodes is None:
-            recipe = engine.multitask_recipe("ppo", recipe, world, n)
-        elif n > 1:
-            recipe = engine.of_several(recipe, n)
+        if n > 1:
+            recipe = engine.of_several(recipe, world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
         return engine.Growing(world, recipe, list(seeds), spread, whole)
+
+    def _begun(self, world: Any, recipe: Any, start: Any) -> tuple[Any, Any]:
+        """The recipe for layers as wide as those of `start`, and its weights; or None."""
+        if start is None:
+            return recipe, None
+        weights = engine.taught(world, start, recipe.activation)
+        return engine.as_wide_as(recipe, weights), weights
 
     def _updates(self, units: float, unit: int) -> int:
         """Whole updates of `unit` steps or episodes that so many units are, rounded up."""

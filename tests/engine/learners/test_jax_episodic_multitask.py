@@ -36,8 +36,8 @@ def test_an_update_for_several_contexts_sees_four_of_them_or_all(given, holds, m
 
 
 def test_what_others_learn_from_an_episode_stays():
-    assert of_several(EpisodicDQNRecipe(), 40) == EpisodicDQNRecipe()
-    assert of_several(EpisodicPPORecipe(), 40) == EpisodicPPORecipe()
+    assert of_several(EpisodicDQNRecipe(), None, 40) == EpisodicDQNRecipe()
+    assert of_several(EpisodicPPORecipe(), None, 40) == EpisodicPPORecipe()
 
 
 @pytest.mark.long

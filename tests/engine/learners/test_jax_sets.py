@@ -57,10 +57,19 @@ def test_many_are_trained_at_once_as_each_of_them_alone():
     assert float(np.abs(np.asarray(begun.optimizer[1].nu)).sum()) > 0
 
 
-def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(tmp_path):
-    """Its state is a file; the copy is the one of `grow_many`, up to rounding."""
+@pytest.mark.parametrize(("own", "width"), [(True, 64), (False, 128)], ids=["its own", "wide"])
+def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(
+    own, width, tmp_path, monkeypatch
+):
+    """Its state is a file; the copy is the one of `grow_many`, up to rounding.
+
+    Layers are twice as wide on several contexts, where CartPole had no recipe of its own.
+    """
+    if not own:
+        monkeypatch.setattr(recipes, "MULTI_TASK", {})
     unit, file = UNIT / TRAINER.whole, tmp_path / "parent.npz"
     parent = TRAINER.train(CONTEXTS, 3, length=5 * unit, state=file).policy
+    assert [len(bias) for bias in parent.biases] == [width, width, 2]
     (*_, (_, _, trunk)) = TRAINER.grow_many([CONTEXTS], [3], [5 * unit])
     some = {"parents": trunk, "which": [0]}
     ((_, (wanted,), _),) = TRAINER.grow_many([CONTEXTS[:1]], [5], [unit], **some)
@@ -72,6 +81,8 @@ def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(tmp_path):
     assert apart(inherited, wanted) < 1e-3 < apart(without, wanted)
     again = TRAINER.train(CONTEXTS[:1], 5, state=file, **given).policy  # the file is the copy's now
     assert same_policy(again, inherited)
+    whole = TRAINER.train(CONTEXTS[:1], 5, start=parent).policy  # as the recipe of one context says
+    assert [len(bias) for bias in whole.biases] == [width, width, 2]
 
 
 def test_what_cannot_be_trained_on_a_set_is_refused():

@@ -24,6 +24,7 @@ from mbtl.engine.learners.recipes import (
     DQNRecipe,
     MultiTaskRecipe,
     PPORecipe,
+    as_wide_as,
     multitask_recipe,
     of_several,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "PPORecipe",
     "SavedTraining",
     "actor_of",
+    "as_wide_as",
     "episodes_met",
     "evaluate",
     "export_policies",

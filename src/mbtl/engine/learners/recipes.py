@@ -315,8 +315,12 @@ def multitask_recipe(
     while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
         n_envs, n_steps = 2 * n_envs, n_steps // 2
     spread = replace(one, n_envs=n_envs, n_steps=n_steps)
-    ppo = MULTI_TASK.get(type(getattr(world, "env", world)).__name__, spread)
+    ppo = MULTI_TASK.get(_name_of(world), spread)
     return MultiTaskRecipe.of(method, ppo, _N_PARTS.get(method, 1))
+
+
+def _name_of(world: Any) -> str:
+    return type(getattr(world, "env", world)).__name__
 
 
 # ---- whole episodes -----------------------------------------------------------------------------
@@ -400,17 +404,32 @@ class TRPORecipe(EpisodicActorCritic):
 
 _AT_ONCE = 4
 """Contexts, an episode in each, from which an update of a policy for several learns at least."""
+_WIDER = 2
+"""Hidden layers of a policy for several contexts, in those of one for one."""
 
 
-def of_several(one: TwinRecipe, n_contexts: int) -> TwinRecipe:
-    """The recipe of one policy for several contexts: an update of TRPO sees four of them, or all.
+def of_several(one: Any, world: Any, n_contexts: int) -> Any:
+    """The recipe of one policy for several contexts, where it is to be as good as it can be.
 
-    By the episode of one context a policy is pulled away from all others (docs/decisions.md). What
-    others learn from an episode would shrink with the number of updates.
+    Counting steps, that of `multitask_recipe` with layers twice as wide: what to do depends on one
+    thing more (docs/decisions.md); CartPole and Pendulum keep theirs.
+    Counting episodes, an update of TRPO sees four contexts, or all: by the episode of one, a policy
+    is pulled away from all others. What others learn from an episode would shrink with the number
+    of updates.
     """
+    if not isinstance(one, TwinRecipe):
+        spread = multitask_recipe("ppo", one, world, n_contexts)
+        if _name_of(world) in MULTI_TASK:
+            return spread
+        return replace(spread, hidden=tuple(_WIDER * width for width in spread.hidden))
     if not isinstance(one, TRPORecipe):
         return one
     return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
+
+
+def as_wide_as(recipe: Learner, weights: Any) -> Any:
+    """The recipe with the hidden layers of a network that there is."""
+    return replace(recipe, hidden=tuple(bias.shape[-1] for _, bias in weights.actor[:-1]))
 
 
 @dataclass(frozen=True)
