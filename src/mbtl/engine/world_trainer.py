@@ -249,8 +249,8 @@ class WorldTrainer:
         finished; else the critic, which no policy carries, begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
-        counted, it is context-conditioned PPO as in the multi-task baseline: its copies of the
-        world take turns in the contexts.
+        counted, it is context-conditioned PPO as in the multi-task baseline, mostly with wider
+        layers: its copies of the world take turns in the contexts.
 
         Raises:
             InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have,
