@@ -68,6 +68,8 @@ def main() -> None:
     parser.add_argument("--until", type=float, default=1.0, help="units of one policy for all")
     parser.add_argument("--alone", action="store_true", help="specialists instead")
     args = parser.parse_args()
+    if any(width % 2 for width in args.widths):
+        parser.error("--widths must be even")
     cmdp = mbtl.get_cmdp(args.cmdp)
     usual: Any = cmdp.trainer_for()
     for width in args.widths:

@@ -106,7 +106,7 @@ class WorldTrainer:
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
         "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
-        "layers": "twice as wide by PPO that counts steps, in worlds without a recipe of their own",
+        "layers": "twice as wide as `hidden`, by PPO that counts steps in worlds of no own recipe",
         "schedule": "falling slowly, and to zero along a last fifth",
         "checkpoint": "final",
     }

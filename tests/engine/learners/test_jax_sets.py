@@ -85,6 +85,14 @@ def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(
     assert [len(bias) for bias in whole.biases] == [width, width, 2]
 
 
+def test_a_policy_with_layers_of_other_widths_is_no_beginning():
+    other = replace(TRAINER, hyperparameters={**SMALL, "hidden": (48, 48)})
+    policy = other.untrained(CONTEXTS[0])
+    for length in (None, UNIT / TRAINER.whole):
+        with pytest.raises(InvalidInput, match="must have the shapes of this recipe"):
+            TRAINER.train(CONTEXTS[:1], 5, start=policy, length=length)
+
+
 def test_what_cannot_be_trained_on_a_set_is_refused():
     other = replace(TRAINER, algorithm="DQN")
     assert "sets" not in other.takes

@@ -428,8 +428,14 @@ def of_several(one: Any, world: Any, n_contexts: int) -> Any:
 
 
 def as_wide_as(recipe: Learner, weights: Any) -> Any:
-    """The recipe with the hidden layers of a network that there is."""
-    return replace(recipe, hidden=tuple(bias.shape[-1] for _, bias in weights.actor[:-1]))
+    """The recipe with layers of a network that there is: for one context, or for several.
+
+    Other widths are not its own, and whoever begins a training refuses them.
+    """
+    given = tuple(bias.shape[-1] for _, bias in weights.actor[:-1])
+    wide, narrow = ([_WIDER * x for x in some] for some in (recipe.hidden, given))
+    fits = given in (recipe.hidden, tuple(wide)) or tuple(narrow) == recipe.hidden
+    return replace(recipe, hidden=given) if fits else recipe
 
 
 @dataclass(frozen=True)

@@ -408,7 +408,11 @@ class Kinds:
         recipes = [recipe_of(trainer) for trainer in self.trainers]
         each = [(cmdp.id, cmdp.version, dict(cmdp.settings)) for cmdp in self.cmdps]
         groups = [len(part.lanes) for part in self.parts()]
-        return {"problems": each, "recipes": recipes, "seeds": self.seeds, "groups": groups}
+        several = dict(self.trainer.on_sets)
+        return {
+            "problems": each, "recipes": recipes, "seeds": self.seeds, "groups": groups,
+            "on_several": several,
+        }  # fmt: skip
 
     def there(self) -> list[Part]:
         """Parts of kinds, and of copies of one parent, of which everything was evaluated."""
