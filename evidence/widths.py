@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 import mbtl
+from mbtl.objective import Bounds
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
+from mbtl.zoo.benchmark.kinds import GENERALIST_UNITS
 
-MARKS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 SEEDS = range(3)
 EPISODES = 2
 """Of each policy in each context."""
@@ -30,15 +31,14 @@ def performances(cmdp: mbtl.CMDP, trainer: Any, policies: list[Any]) -> np.ndarr
     seeds = evaluation_seeds(0, MATRIX_TRIAL, range(cmdp.space.n))
     returns = trainer.evaluate_many(policies, cmdp.space.contexts, seeds).mean(axis=-1)
     assert cmdp.bounds is not None
-    low, high = cmdp.bounds
-    return np.asarray((returns - low) / (high - low))
+    return Bounds(*cmdp.bounds).normalise(returns)
 
 
 def for_all(cmdp: mbtl.CMDP, trainer: Any, until: float) -> None:
     """One policy for all contexts, at every mark."""
     everybody = range(cmdp.space.n)
     seeds = [training_seed(seed, MATRIX_TRIAL, everybody) for seed in SEEDS]
-    marks = [mark for mark in MARKS if mark <= until]
+    marks = [mark for mark in GENERALIST_UNITS if mark <= until]
     grown = trainer.grow_many([cmdp.space.contexts] * len(seeds), seeds, marks)
     for mark, policies, _ in grown:
         each = performances(cmdp, trainer, policies).mean(axis=1)

@@ -64,7 +64,7 @@ def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command
     (first,) = load_multitask("ring-vel", folder=file.parent).values()
     recipe = first.provenance[0]["recipe"]
     assert (recipe["episodes"], recipe["hyperparameters"]["n_episodes"]) == (4, 2)
-    assert recipe["contexts"].startswith("uniform, one per episode")
+    assert recipe["contexts"] == "uniform, one per episode; by TRPO four, or all, in an update"
     assert "there already" in mbtl_command(*command, "--engine", "jax")[2]
     other = mbtl_command(*command, "--engine", "sumo")[2]
     assert "was made by" in other

@@ -19,7 +19,6 @@ from mbtl.engine.learners.export import export_policies, taught
 from mbtl.engine.learners.growing import Growing, stage
 from mbtl.engine.learners.loop import in_sets, start, train
 from mbtl.engine.learners.recipes import (
-    MULTI_TASK,
     A2CRecipe,
     DQNRecipe,
     MultiTaskRecipe,
@@ -27,11 +26,11 @@ from mbtl.engine.learners.recipes import (
     as_wide_as,
     multitask_recipe,
     of_several,
+    own_recipe,
 )
 from mbtl.engine.learners.saving import SavedTraining, taking_over
 
 __all__ = [
-    "MULTI_TASK",
     "A2CRecipe",
     "Actor",
     "Block",
@@ -53,6 +52,7 @@ __all__ = [
     "multitask_recipe",
     "of_several",
     "on_cpu",
+    "own_recipe",
     "recipe_named",
     "stage",
     "start",

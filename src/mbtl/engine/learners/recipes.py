@@ -296,6 +296,15 @@ MULTI_TASK: Mapping[str, PPORecipe] = {
 _SHORTEST = 16
 """Steps of a copy between two updates that `multitask_recipe` leaves."""
 _N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
+_AT_ONCE = 4
+"""Contexts, an episode in each, from which an update of a policy for several learns at least."""
+_WIDER = 2
+"""Hidden layers of a policy for several contexts, in those of one for one."""
+
+
+def own_recipe(world: Any) -> PPORecipe | None:
+    """How many contexts of this world are learnt from, where it has a recipe of its own."""
+    return MULTI_TASK.get(type(getattr(world, "env", world)).__name__)
 
 
 def multitask_recipe(
@@ -315,12 +324,37 @@ def multitask_recipe(
     while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
         n_envs, n_steps = 2 * n_envs, n_steps // 2
     spread = replace(one, n_envs=n_envs, n_steps=n_steps)
-    ppo = MULTI_TASK.get(_name_of(world), spread)
+    ppo = own_recipe(world) or spread
     return MultiTaskRecipe.of(method, ppo, _N_PARTS.get(method, 1))
 
 
-def _name_of(world: Any) -> str:
-    return type(getattr(world, "env", world)).__name__
+def of_several(one: Any, world: Any, n_contexts: int) -> Any:
+    """The recipe of one policy for several contexts, where it is to be as good as it can be.
+
+    Counting steps, that of `multitask_recipe` with layers twice as wide: what to do depends on one
+    thing more (docs/decisions.md); CartPole and Pendulum keep theirs.
+    Counting episodes, an update of TRPO sees four contexts, or all: by the episode of one, a policy
+    is pulled away from all others. What others learn from an episode would shrink with the number
+    of updates.
+    """
+    if not isinstance(one, TwinRecipe):
+        spread = multitask_recipe("ppo", one, world, n_contexts)
+        if own_recipe(world) is not None:
+            return spread
+        return replace(spread, hidden=tuple(_WIDER * width for width in spread.hidden))
+    if not isinstance(one, TRPORecipe):
+        return one
+    return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
+
+
+def as_wide_as(recipe: Learner, weights: Any) -> Any:
+    """The recipe with layers of a network that there is: for one context, or for several.
+
+    Other widths are not its own, and whoever begins a training refuses them.
+    """
+    given = tuple(bias.shape[-1] for _, bias in weights.actor[:-1])
+    known = [tuple(share * width for width in recipe.hidden) for share in (1.0 / _WIDER, 1, _WIDER)]
+    return replace(recipe, hidden=given) if given in known else recipe
 
 
 # ---- whole episodes -----------------------------------------------------------------------------
@@ -400,42 +434,6 @@ class TRPORecipe(EpisodicActorCritic):
     clip_actions: bool = True
     normalize_reward: bool = True
     center_reward: bool = True
-
-
-_AT_ONCE = 4
-"""Contexts, an episode in each, from which an update of a policy for several learns at least."""
-_WIDER = 2
-"""Hidden layers of a policy for several contexts, in those of one for one."""
-
-
-def of_several(one: Any, world: Any, n_contexts: int) -> Any:
-    """The recipe of one policy for several contexts, where it is to be as good as it can be.
-
-    Counting steps, that of `multitask_recipe` with layers twice as wide: what to do depends on one
-    thing more (docs/decisions.md); CartPole and Pendulum keep theirs.
-    Counting episodes, an update of TRPO sees four contexts, or all: by the episode of one, a policy
-    is pulled away from all others. What others learn from an episode would shrink with the number
-    of updates.
-    """
-    if not isinstance(one, TwinRecipe):
-        spread = multitask_recipe("ppo", one, world, n_contexts)
-        if _name_of(world) in MULTI_TASK:
-            return spread
-        return replace(spread, hidden=tuple(_WIDER * width for width in spread.hidden))
-    if not isinstance(one, TRPORecipe):
-        return one
-    return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
-
-
-def as_wide_as(recipe: Learner, weights: Any) -> Any:
-    """The recipe with layers of a network that there is: for one context, or for several.
-
-    Other widths are not its own, and whoever begins a training refuses them.
-    """
-    given = tuple(bias.shape[-1] for _, bias in weights.actor[:-1])
-    wide, narrow = ([_WIDER * x for x in some] for some in (recipe.hidden, given))
-    fits = given in (recipe.hidden, tuple(wide)) or tuple(narrow) == recipe.hidden
-    return replace(recipe, hidden=given) if fits else recipe
 
 
 @dataclass(frozen=True)

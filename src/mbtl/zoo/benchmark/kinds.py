@@ -408,11 +408,8 @@ class Kinds:
         recipes = [recipe_of(trainer) for trainer in self.trainers]
         each = [(cmdp.id, cmdp.version, dict(cmdp.settings)) for cmdp in self.cmdps]
         groups = [len(part.lanes) for part in self.parts()]
-        several = dict(self.trainer.on_sets)
-        return {
-            "problems": each, "recipes": recipes, "seeds": self.seeds, "groups": groups,
-            "on_several": several,
-        }  # fmt: skip
+        own = {"problems": each, "recipes": recipes, "on_several": dict(self.trainer.on_sets)}
+        return {**own, "seeds": self.seeds, "groups": groups}
 
     def there(self) -> list[Part]:
         """Parts of kinds, and of copies of one parent, of which everything was evaluated."""

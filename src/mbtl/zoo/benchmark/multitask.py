@@ -289,10 +289,10 @@ class InJax:
 
     def _problem(self) -> _Problem:
         world, params = self.trainer.problem(self.contexts)
-        name, n = type(getattr(world, "env", world)).__name__, len(self.contexts)
+        n = len(self.contexts)
         recipe = engine.multitask_recipe(self.method, self.trainer.learner, world, n)
         sets = engine.in_sets(recipe, params, n)
-        if name in engine.MULTI_TASK:
+        if engine.own_recipe(world) is not None:
             return _Problem(world, recipe, params, sets, _JUDGED, None)
         once = n * int(world.decisions(params))
         every = min(max(once, math.ceil(self.length / _MOST)), math.ceil(self.length / _LEAST))
