@@ -337,7 +337,7 @@ def found(place: Place) -> dict[str, int]:
         seed, start = study.pick(row.pick).seed, made.get(row.start)
         if start is None and len(row.sources) == 1:
             wrong += seed != training_seed(study.spec.seed, study.spec.trial, row.sources)
-        if row.goes_on:
+        if row.done:
             wrong += seed % 1000 != start[1]
             begun = start[3]
         else:

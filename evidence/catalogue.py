@@ -150,9 +150,7 @@ def strip(pictures: list[Any]) -> Any:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="docs/catalogue.md")
     parser.add_argument("--films", nargs="*", choices=FAMILIES, help="docs/images/film-*.png")
     parser.add_argument("--policies", type=Path, default=Path("runs"), help="see films.py")

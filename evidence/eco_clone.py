@@ -112,9 +112,7 @@ def fitted(actor: Any, steps: int) -> Any:
 
 def main() -> None:
     """Fit, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=3000, help="of Adam")
     parser.add_argument("--write", help="file for the layers")
     args = parser.parse_args()

@@ -103,9 +103,7 @@ def film(id: str, folder: Path, file: Path) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--policies", type=Path, default=Path("runs"), help="where they are kept")
     parser.add_argument("--write", action="store_true", help="docs/images/film-*.gif")
     args = parser.parse_args()

@@ -107,9 +107,7 @@ def scores(trainer: Any, contexts: list[Any], seeds: int) -> tuple[list[float], 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cmdp", choices=(*CONTROL, *CONTEXTS))
     parser.add_argument("--engine", choices=("jax", "sumo"), default="jax")
     parser.add_argument("--seeds", type=int, help="trainings per way and context")

@@ -92,9 +92,7 @@ def spread(values: Array) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=5, help="1 to 100; noise 0 has one")
     parser.add_argument("--noise", type=int, choices=sorted(PUBLISHED), default=5)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)

@@ -183,9 +183,7 @@ def lines(family: str, sumo_seeds: int, twin_seeds: int) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--families", nargs="+", choices=list(CONTEXTS), default=list(CONTEXTS))
     parser.add_argument("--seeds", type=int, default=20, help="episodes in SUMO per line")
     parser.add_argument("--twin-seeds", type=int, default=256, help="episodes in the twin")

@@ -60,9 +60,7 @@ def alone(cmdp: mbtl.CMDP, trainer: Any) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cmdp", help="of a walker or a cheetah: the others have their own recipe")
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128], help="even numbers")
     parser.add_argument("--until", type=float, default=1.0, help="units of one policy for all")

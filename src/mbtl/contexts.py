@@ -382,7 +382,7 @@ class ContextSpace:
         self._columns = [a.own(c) for a, c in zip(self.axes, columns, strict=True)]
         self.unit = np.hstack([a.encode(c) for a, c in zip(self.axes, self._columns, strict=True)])
         self._check_distinct()
-        self.steps = self._grid_steps() if shape else self._scaled_steps()
+        self.steps = self._to_steps(self.unit)
         self.weights = _checked_weights(weights, self.n)
 
     # ---- constructors ------------------------------------------------------------------------
@@ -573,18 +573,7 @@ class ContextSpace:
 
     def encode_steps(self, context: Mapping[str, Value]) -> Array:
         """(D,) grid-step coordinates of any context within the axes (interpolated off the grid)."""
-        unit = self.encode(context)
-        if not self.shape:
-            return np.asarray(unit * self._step_scale)
-        parts, start = [], 0
-        for axis, block in zip(self.axes, self._level_units, strict=True):
-            part = unit[start : start + axis.width]
-            start += axis.width
-            if isinstance(axis, Categorical):
-                parts.append(part)
-            else:
-                parts.append(np.interp(part, block[:, 0], np.arange(len(block))))
-        return np.hstack(parts)
+        return np.asarray(self._to_steps(self.encode(context)[None])[0])
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record; `ContextSpace.from_json` rebuilds an equal space."""
@@ -646,34 +635,22 @@ class ContextSpace:
             for column, stride, n in zip(self._columns, strides, self.shape, strict=True)
         ]
 
-    @cached_property
-    def _level_units(self) -> list[Array]:
-        return [a.encode(v) for a, v in zip(self.axes, self._levels, strict=True)]
+    def _to_steps(self, unit: Array) -> Array:
+        """(n, D) unit-cube coordinates in grid steps; those of levels stay as they are.
 
-    @property
-    def _step_scale(self) -> Array:
-        """Columns of a point list: as many steps per axis as a grid of N points would have."""
+        A list has as many steps per axis as a grid of N points would have.
+        """
         per_axis = max(round(self.n ** (1.0 / self.d)) - 1, 1)
-        parts = [
-            np.ones(a.width) if isinstance(a, Categorical) else np.full(1, float(per_axis))
-            for a in self.axes
-        ]
-        return np.hstack(parts)
-
-    def _scaled_steps(self) -> Array:
-        return np.asarray(self.unit * self._step_scale)
-
-    def _grid_steps(self) -> Array:
-        assert self.shape is not None
-        positions = np.indices(self.shape).reshape(self.d, -1)
-        parts, start = [], 0
-        for axis, position in zip(self.axes, positions, strict=True):
-            if isinstance(axis, Categorical):
-                parts.append(self.unit[:, start : start + axis.width])
-            else:
-                parts.append(position[:, None].astype(np.float64))
-            start += axis.width
-        return np.hstack(parts)
+        steps, column = unit.copy(), 0
+        for q, axis in enumerate(self.axes):
+            if not isinstance(axis, Categorical) and self.shape:
+                stride, n = int(np.prod(self.shape[q + 1 :])), self.shape[q]
+                known = self.unit[: n * stride : stride, column]
+                steps[:, column] = np.interp(unit[:, column], known, np.arange(n))
+            elif not isinstance(axis, Categorical):
+                steps[:, column] *= per_axis
+            column += axis.width
+        return steps
 
     def _check_distinct(self) -> None:
         rounded = np.round(self.unit, _DIGITS)

@@ -120,22 +120,6 @@ def array_of(name: str, given: Any) -> NDArray[Any]:
         ) from error
 
 
-def text(name: str, given: Any) -> str:
-    """A text that can be written to a file.
-
-    Raises:
-        InvalidInput: something else, or one with half a character.
-    """
-    if isinstance(given, str):
-        try:
-            given.encode()
-        except UnicodeEncodeError:
-            pass
-        else:
-            return given
-    raise InvalidInput(f"{name} must be a text, got {short(given)}")
-
-
 def short(value: Any) -> str:
     """A value for a message: its first sixty characters."""
     try:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 import mbtl
 from flat import created, told
-from mbtl.plot.maps import LABELS
+from mbtl.plot.maps import BELIEVED
 from mbtl.selectors.outlook import outlook
 from mbtl.zoo.benchmark import TransferMatrix
 
@@ -138,7 +138,7 @@ def test_two_axes_are_a_map_of_the_policies_or_of_what_the_model_believed():
     assert ax.collections[0].get_array().shape == (5, 6)
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
     assert texts(ax) == ["1", "2", "3", "4"]
-    assert LABELS["mean"] in [other.get_ylabel() for other in ax.figure.axes]
+    assert BELIEVED in [other.get_ylabel() for other in ax.figure.axes]
 
 
 def test_what_cannot_be_drawn_is_said(tmp_path):

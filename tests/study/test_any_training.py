@@ -449,7 +449,7 @@ def test_functions_are_paid_by_their_reports_or_by_units():
 
     walker, study = Walker(), in_steps(60_000)
     ran(study, train, walker.evaluate, report=False)
-    longer = [row for row in study.state.rows if row.goes_on]
+    longer = [row for row in study.state.rows if row.done]
     assert [row.steps for row in longer] == pytest.approx(
         [450 + 360 * (i + 1) for i in range(len(longer))]
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from textwrap import shorten
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,28 +189,22 @@ def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
 # ---- what a selector's model believed ------------------------------------------------------------
 
 
-Quantity = Literal["mean", "std", "gain"]
-LABELS = {
-    "mean": "training performance, believed",
-    "std": "standard deviation of that",
-    "gain": "expected gain in V",
-}
+BELIEVED = "training performance, believed"
 _SURE = 1.96
 
 
 @styled
-def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax: Any = None) -> Any:
+def model(study: Study, step: int | None = None, *, ax: Any = None) -> Any:
     """What the model believed after `step` trainings, as the paper draws its Gaussian process.
 
     On one axis: mean and 95 % band of the training performance, the policies as dots, and along
     the bottom, on a scale of its own, the expected gain; a triangle is the pick that came next. On
-    more axes: a map of `show` over the two with the most values, the others averaged. Selectors
+    more axes: a map of the mean over the two with the most values, the others averaged. Selectors
     without a model are drawn with that of `specialists`.
 
     Args:
         study: with one or more rows.
         step: number of trainings; None: all.
-        show: what a map shows.
         ax: axes to draw on; None: new ones.
 
     Raises:
@@ -227,11 +221,11 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
     if space.d > 1:
         drawn = _pair(space, None)
         x, y = (positions(one, space.values(one.name)) for one in drawn)
-        across, up, means = cells(x, y, getattr(found, show))
+        across, up, means = cells(x, y, found.mean)
         mesh = ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), means)
         for one, side in zip(drawn, "xy", strict=True):
             dress(ax, one, side)
-        ax.figure.colorbar(mesh, ax=ax, label=LABELS[show])
+        ax.figure.colorbar(mesh, ax=ax, label=BELIEVED)
         _mark(ax, x, y, dict(enumerate(taken)))
         ax.set_title(title)
         return ax
@@ -243,7 +237,7 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
     own = history.training_performance[:k]
     ax.plot(x[list(taken)], own, "o", ms=4, color="black", label="trained", zorder=4)
     dress(ax, axis)
-    ax.set_ylabel(LABELS["mean"])
+    ax.set_ylabel(BELIEVED)
     below = ax.twinx()
     gain = np.maximum(found.gain[order], 0.0)
     asked = np.isfinite(gain)

@@ -25,10 +25,9 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.history import History, Training
-from mbtl.models.beliefs import Beliefs
 from mbtl.objective import generalisation_performance, worst_share_mean
 from mbtl.selectors import Specialists
-from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, believed_rows
 from mbtl.selectors.contract import LearnedSelector, Selector, Traits
 from mbtl.strategies.all_first import on_all
 
@@ -244,12 +243,7 @@ class Standing:
     @cached_property
     def rows(self) -> Array:
         """(k, N) performance, what was not evaluated as the transfer model believes it."""
-        rows = self.history.rows
-        seen = np.isfinite(rows)
-        if seen.all() or not seen.any():
-            return rows
-        believed = Beliefs(self.problem, self.history.sources, rows, self.history.errors)
-        return np.where(seen, rows, believed.on(np.arange(self.problem.n))[0])
+        return believed_rows(self.problem, self.history)
 
     @cached_property
     def best(self) -> Array:

@@ -12,7 +12,6 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
 from functools import partial
-from logging import getLogger
 from typing import Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
@@ -34,7 +33,6 @@ from mbtl.study.records import Pick
 from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
 
-_logger = getLogger(__name__)
 _DIED = (
     "a worker process died (a script without `if __name__ == '__main__':`, killed, or out of "
     "memory); its picks are given back: run again, with a smaller parallel if memory is short"
@@ -348,7 +346,6 @@ class Batches:
             if pruned:
                 return True
         self._in_a_row += not again
-        _logger.warning("%s failed: %s", self.study.state.where(pick), reason)
         return True
 
     def _tell(self, pick: Pick, outcome: Outcome) -> bool:
@@ -367,14 +364,12 @@ class Batches:
         self._in_a_row = 0
         if in_time:
             self.keeper.drop(pick)
-            _logger.info("%s, V = %.4f", self.study.state.where(pick), self.study.value)
         return in_time
 
     def _lose(self, pick: Pick) -> None:
         """Somebody else does it, or has done it."""
         self.study.untold.pop(pick.number, None)
         self.keeper.drop(pick)
-        _logger.warning("%s is somebody else's by now", self.study.state.where(pick))
         self._announce("on_lost", pick)
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:

@@ -97,12 +97,8 @@ class ReportPlan:
     @property
     def evaluations(self) -> int:
         """Of one policy on one context each."""
-        return self.of_policies + self.baselines * self.contexts.size
-
-    @property
-    def of_policies(self) -> int:
-        """Of those, the study's own."""
-        return sum(self.targets(policy).size for policy in self.policies)
+        own = sum(self.targets(policy).size for policy in self.policies)
+        return own + self.baselines * self.contexts.size
 
     @property
     def policies(self) -> list[int]:
@@ -116,25 +112,24 @@ class ReportPlan:
         return np.asarray(self.contexts[self.route[self.contexts] == policy])
 
 
-def plan_of(state: StudyState, *, whole: bool = False, baselines: int = 0) -> ReportPlan:
+def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
     """What the closing report of a study evaluates now: who serves, and the best single policy.
 
     Args:
         state: of the study, with a row or more.
-        baselines: how many are played beside them.
         whole: play all contexts, however many evaluations the study itself has made.
     """
     spec = state.spec
     routing, weights = state.routing(), spec.space.weights
-    every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights), baselines)
+    every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights))
     played = sum(int(np.isfinite(row.returns).sum()) for row in state.rows)
     allowed = min(played, max(CHEAP, int(SHARE * played)))
-    if whole or every.of_policies <= allowed:
+    if whole or every.evaluations <= allowed:
         return every
     each = 1 if len(every.policies) == 1 else 2
     rng = np.random.default_rng(derive_seed(spec.seed, Purpose.REPORT, spec.trial))
     some = drawn(chances(weights, max(allowed // each, 2)), rng)
-    return ReportPlan(every.route, every.best_single, some, baselines)
+    return ReportPlan(every.route, every.best_single, some)
 
 
 def plan_to_do(
@@ -158,7 +153,7 @@ def plan_to_do(
     """
     if not state.rows or state.spec.risk < 1.0:
         return None
-    fresh, plan = state.fresh, plan_of(state, whole=whole, baselines=len(baselines))
+    fresh, plan = state.fresh, plan_of(state, whole=whole)
     known = fresh is not None and {*baselines} <= {*fresh.baselines}
     if fresh is not None and known and {*metrics} <= {*fresh.units}:
         enough = not whole or _played(fresh.served)[plan.contexts].all()

@@ -6,14 +6,15 @@ training, its policy is found by whoever does the job next, and nothing is train
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 import tempfile
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -284,18 +285,11 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     return checked, steps if steps == steps else None
 
 
-def _left(job: Job) -> tuple[ArtifactStore, Artifact] | None:
-    """Where the policy of this very training is, by somebody who was ended after it."""
-    for store in () if job.store is None else (job.store, *job.spools):
-        if (found := _left_in(store, job)) is not None:
-            return store, found
-    return None
-
-
-def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
-    """The policy of this training in one store."""
+def _left(job: Job) -> tuple[ArtifactStore, Artifact, Mapping[str, Any]] | None:
+    """The policy of this very training, by somebody who was ended after it, and its receipt."""
     made = equipment_of(job.trainer)
-    for place in reversed(job.places):
+    stores = () if job.store is None else (job.store, *job.spools)
+    for store, place in product(stores, reversed(job.places)):
         receipt = store.receipt(place)
         if (
             receipt is not None
@@ -304,11 +298,9 @@ def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
             and receipt.get("recipe", made["recipe"]) == made["recipe"]
             and isinstance(receipt.get("sha256"), str)
         ):
-            try:
+            with suppress(StorageError):  # of other files by now: no policy of this training
                 store.read(place, receipt["sha256"])
-            except StorageError:  # of other files by now: no policy of this training
-                continue
-            return Artifact(place, receipt["sha256"])
+                return store, Artifact(place, receipt["sha256"]), receipt
     return None
 
 
@@ -317,12 +309,11 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _found(job: Job, store: ArtifactStore, artifact: Artifact) -> Kept:
+def _found(job: Job, store: ArtifactStore, artifact: Artifact, receipt: Mapping[str, Any]) -> Kept:
     """What a former worker has left: the policy, and what its receipt says of the training.
 
     One that waits in a spool is still to be saved.
     """
-    receipt = store.receipt(artifact.place) or {}
     state = receipt.get("state")
     return Kept(
         job.trainer.load(store.read(artifact.place, artifact.sha256)),
@@ -367,11 +358,11 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
     if left is None and job.state is not None and "state" in job.trainer.takes:
-        with contextlib.suppress(StorageError):
+        with suppress(StorageError):
             kept = _states(job).read(job.state.place, job.state.sha256)
             left = next(iter(kept.glob(_STATE)), None)
     if own is not None and left is not None and not own.exists():
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             _copy_whole(left, own)
     trained = job.trainer.train(
         [dict(context) for context in job.contexts],
@@ -440,7 +431,7 @@ def _states(job: Job) -> ArtifactStore:
 
 def _forget_partial(job: Job) -> None:
     for file in _partials(job):
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
 
 
@@ -482,7 +473,7 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
 def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any]) -> Path | None:
     """Where the policy waits; None: it could be saved nowhere."""
     for spool in job.spools:
-        with contextlib.suppress(Exception):  # the next one may do
+        with suppress(Exception):  # the next one may do
             if spool.write(job.place, fill, receipt) is not None:
                 for place in job.places[:-1]:  # where it has waited before
                     spool.remove(place)

@@ -11,16 +11,7 @@ from mbtl.study.artifacts import FolderStore, policy_store
 from mbtl.study.ask import is_finished, others, stop_reason
 from mbtl.study.checks import replay
 from mbtl.study.closing_report import value_of
-from mbtl.study.database import (
-    WRITES,
-    as_url,
-    check_path,
-    database_errors,
-    database_file,
-    fixed_url,
-    open_database,
-    shown,
-)
+from mbtl.study.database import check_path, database_file, fixed_url, shown
 from mbtl.study.leases import Presence, Watch
 from mbtl.study.storage import SqlLog, study_names
 
@@ -97,8 +88,6 @@ def delete_study(
         StudyError: there is none, or somebody runs it just now.
         InvalidInput: there are several and no name is given, or none has that name.
     """
-    from sqlalchemy import delete
-
     address = database_at(storage)
     name = chosen_name(address, name)
     log = SqlLog(address, name)
@@ -111,14 +100,7 @@ def delete_study(
             "that first, or wait until its leases have ended"
         )
     store = policy_store(address, artifacts)
-    engine, table, heartbeats = open_database(as_url(address), create=False)
-    try:
-        writer = engine.execution_options(**{WRITES: True})
-        with database_errors(address), writer.begin() as connection:
-            for one in (table, heartbeats):
-                connection.execute(delete(one).where(one.c.study == name))
-    finally:
-        engine.dispose()
+    log.delete()
     if isinstance(store, FolderStore) and not keep_policies:
         store.remove(f"policies/{state.uid}")
 

@@ -155,8 +155,8 @@ class ToldRow:
         steps: environment steps of the training; None: not known.
         sources: indices of all contexts trained on.
         start: number of the event that told the policy it began with; None: from scratch.
-        goes_on: it is the training of that policy, continued.
-        length: units of the training.
+        done: units that policy had when its own training was continued; 0: it was not.
+        length: units of the training, those before included.
         state: folder of the training's state, to go on from exactly; None: there is none.
         state_sha256: of its files.
         evaluation_steps: environment steps of its evaluations on targets; None: not known.
@@ -175,7 +175,7 @@ class ToldRow:
     steps: float | None = None
     sources: tuple[int, ...] = ()
     start: int | None = None
-    goes_on: bool = False
+    done: float = 0.0
     length: float = 1.0
     state: str | None = None
     state_sha256: str | None = None

@@ -68,8 +68,6 @@ class StudyState:
         getattr(self, f"_{event.kind}")(event)
         self._history = None
         self.seq = event.seq
-        if event.kind in ("created", "voided"):
-            self._forget()
 
     def copied(self) -> StudyState:
         """As it is now, and stays whatever is told meanwhile."""
@@ -154,16 +152,12 @@ class StudyState:
 
     def _made(self, row: ToldRow) -> Training:
         start = None if row.start is None else self.place_of(row.start)
-        return Training(row.sources, start, row.length, row.goes_on)
+        return Training(row.sources, start, row.length, row.done > 0.0)
 
     def training_of(self, pick: PickRecord) -> Training:
         """A pick as a strategy sees it."""
         start = None if pick.start is None else self.place_of(pick.start)
         return Training(pick.sources, start, pick.length, pick.done > 0.0)
-
-    def _forget(self) -> None:
-        """What was computed from rows that are other ones now."""
-        self._performance = self._routing = None
 
     def _episodes(self) -> Episodes:
         return Episodes([row.each for row in self.rows], self.bounds())
@@ -238,13 +232,9 @@ class StudyState:
         spent = {True: 0.0, False: 0.0}  # on trainings that went on, on new ones
         for row in self._told_by.values():
             if row.pick is not None:
-                spent[row.goes_on] += self._own_steps(self.picks[row.pick], row.steps)
+                spent[row.done > 0.0] += self._own_steps(self.picks[row.pick], row.steps)
         open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
         return Bill(spent[False], spent[True], self.evaluation_steps, self.lost_steps, open_)
-
-    def _before(self, row: ToldRow) -> ToldRow | None:
-        """The row that a training went on from; None: it did not."""
-        return self._parent(row.start) if row.goes_on else None
 
     def _own_steps(self, pick: PickRecord, steps: float | None) -> float:
         """Environment steps that a pick cost, of those that its training has had in all."""
@@ -303,12 +293,7 @@ class StudyState:
 
     def units(self) -> Array:
         """(k,) units of training of each row and all before it; those told unasked count, too."""
-        before = [self._before(row) for row in self.rows]
-        own = [
-            row.length - (0.0 if had is None else had.length)
-            for row, had in zip(self.rows, before, strict=True)
-        ]
-        return np.cumsum(own)
+        return np.cumsum([row.length - row.done for row in self.rows])
 
     def spent_words(self, *, answered: bool = False) -> str:
         """How much of the budget is asked for, or done: "3 of 15 trainings", "2.5 of 4 units"."""
@@ -396,19 +381,17 @@ class StudyState:
         )
 
     def _claimed(self, event: Event) -> None:
-        if event.data["pick"] == len(self.picks):
-            self.proposing = _lease_of(event)
-        else:
-            self._give(event.data["pick"], _lease_of(event))
+        self._hold(event.data["pick"], _lease_of(event))
 
     def _released(self, event: Event) -> None:
-        if event.data["pick"] == len(self.picks):
-            self.proposing = None
-        else:
-            self._give(event.data["pick"], None)
+        self._hold(event.data["pick"], None)
 
-    def _give(self, number: int, lease: Lease | None) -> None:
-        self.picks[number] = self.open_picks[number] = self.picks[number].leased(lease)
+    def _hold(self, number: int, lease: Lease | None) -> None:
+        """Of the next pick there is only who finds it."""
+        if number == len(self.picks):
+            self.proposing = lease
+        else:
+            self.picks[number] = self.open_picks[number] = self.picks[number].leased(lease)
 
     def _told(self, event: Event) -> None:
         data = event.data
@@ -435,7 +418,7 @@ class StudyState:
             event=event.seq,
             sources=pick.sources,
             start=pick.start,
-            goes_on=pick.done > 0.0,
+            done=pick.done,
             length=pick.length,
             **{name: data.get(name) for name in LOGGED},  # type: ignore[arg-type]
         )
@@ -454,7 +437,7 @@ class StudyState:
         wider[new, : each.shape[1]] = each[new]
         row = replace(row, each=wider)
         self.rows[place] = self._told_by[row.event] = row
-        self._forget()
+        self._performance = self._routing = None
 
     def _late(self, event: Event) -> None:
         """The pick was somebody else's by then, so it counts for nothing."""
@@ -462,7 +445,7 @@ class StudyState:
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
         row = self.rows.pop(place)
-        self.fresh = self.stopped = self._routing = None
+        self.fresh = self.stopped = self._performance = self._routing = None
         if row.pick is not None:  # as a training that gave nothing: it may be tried again
             self.failures.append(Failure(row.source, row.pick, event.data["reason"]))
 

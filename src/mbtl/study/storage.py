@@ -202,6 +202,16 @@ class SqlLog:
         query = sa.select(t.c.token, t.c.expires).where(t.c.study == self.study)
         return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
+    def delete(self) -> None:
+        """All events and heartbeats of the study, for ever."""
+        import sqlalchemy as sa
+
+        def write(connection: sa.Connection) -> None:
+            for one in (self._table, self._heartbeats):
+                connection.execute(sa.delete(one).where(one.c.study == self.study))
+
+        self._do(write, writes=True)
+
     # ---- inside ------------------------------------------------------------------------------
 
     def _now(self, connection: sa.Connection) -> float:

@@ -14,9 +14,8 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from logging import getLogger
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
@@ -61,7 +60,6 @@ from mbtl.trainers.contract import (
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
 
-_logger = getLogger(__name__)
 
 LEASE = 60.0
 """Seconds for which a run may be silent before others take its trainings over."""
@@ -571,15 +569,16 @@ def _report(
     def failed(reason: str) -> None:
         announce("on_note", f"V on fresh episodes could not be measured: {reason}")
 
-    planned = partial(plan_to_do, study.state, study.policies, whole=whole, metrics=beside.metrics)
-    if planned(baselines=beside.baselines) is None:
+    plan = plan_to_do(
+        study.state, study.policies, whole=whole, baselines=beside.baselines, metrics=beside.metrics
+    )
+    if plan is None:
         return
     told = len(study.state.rows)
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
         baselines = _baselines(study, trainer)
-        plan = planned(baselines=baselines)
-        assert plan is not None  # more baselines are more to do
+        plan = replace(plan, baselines=len(baselines))
         announce("on_report", plan)
         _play(study, trainer, plan, baselines, announce, timeout, stuck)
     except StorageError:
@@ -611,7 +610,6 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
     else:
         return
     words = f"this study is stored, but its policies will be in memory only: {fix}"
-    _logger.warning("%s", words)
     warnings.warn(words, UnsavedPolicies, stacklevel=4)
 
 
@@ -621,7 +619,6 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
     if others:
         works = "works" if len(others) == 1 else "work"
         words = f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
-        _logger.warning("%s", words)
         announce("on_note", words)
 
 

@@ -29,23 +29,12 @@ from mbtl.score import SCORE
 from mbtl.settings import described, described_code
 
 __all__ = [
-    "Ability",
-    "CountingTrainer",
-    "FunctionTrainer",
-    "ManyTrainer",
-    "MeasuringTrainer",
-    "OnProgress",
-    "Progress",
-    "RehearsingTrainer",
-    "Trained",
-    "Trainer",
     "check_asked",
     "check_settings",
     "checked_returns",
     "completed",
     "even_groups",
     "recipe_of",
-    "reference_rows",
     "refusal",
 ]
 
