@@ -412,7 +412,7 @@ def test_portfolio_of_trained_policies_works_without_torch(trained, tmp_path):
     assert type(load_portfolio(folder, load=load_sb3).policy(0)) is type(trained)
     script = (
         "import sys, numpy\n"
-        "for name in ('torch', 'stable_baselines3', 'gymnasium'):\n"
+        "for name in ('torch', 'stable_baselines3', 'gymnasium', 'jax'):\n"
         "    sys.modules[name] = None\n"
         "from mbtl.portfolio import load_portfolio\n"
         f"policy = load_portfolio({str(folder)!r}).policy_for({{'length': 0.3}})\n"

@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from test_compare import Recorder
 
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.routing import last_route, routes
-from mbtl.selectors import Traits
 from mbtl.zoo.benchmark import TransferMatrix, compare, levels, random_curve, sequential_oracle
 
 SEEN = np.array([[0.9, 0.1, 0.3], [0.2, 0.8, 0.3], [0.2, 0.8, 0.3]])
@@ -54,19 +54,9 @@ def test_the_oracle_chooses_by_one_half_and_its_curve_is_of_the_other():
 
 
 def test_a_selector_sees_one_half_and_its_curve_is_of_the_other():
-    seen = []
-
-    class Spy:
-        name, traits = "spy", Traits(deterministic=True)
-
-        def propose(self, problem, history, rng):
-            from mbtl.selectors import Proposal
-
-            seen.append(history.rows)
-            return Proposal(len(history), "next")
-
-    (run,) = compare([Spy()], [halved()], budget=3).results
-    assert np.array_equal(seen[-1], SEEN[:2])
+    recorder = Recorder()
+    (run,) = compare([recorder], [halved()], budget=3).results
+    assert np.array_equal(recorder.seen[-1][1].rows, SEEN[:2])
     # 0 alone; then 1 takes targets 1 and 2 (a tie: it is nearer); then 2 takes target 2
     assert run.performance == pytest.approx([1.1 / 3, (0.5 + 0.4 + 0.1) / 3, (0.5 + 0.4 + 0.2) / 3])
 
