@@ -196,6 +196,15 @@ def test_a_policy_for_all_that_failed_leaves_the_chooser():
     assert (found.contexts, found.start) == ((4,), None)
 
 
+def test_one_small_doubling_after_a_large_one_does_not_end_the_policy_for_all():
+    trainings = HALF, WHOLE, Training(ALL, 1, 2.0, goes_on=True), Training((4,), None, 1.0)
+    alone = np.where(np.arange(N) == 4, 0.7, 0.0)  # adds .02 to V
+    for first, trained_on in ((0.3, N), (0.5, 1)):
+        rows = [*(np.full(N, at) for at in (first, 0.5, 0.5)), alone]
+        found = Auto().propose(problem(), told(*trainings, rows=rows), RNG)
+        assert len(found.contexts) == trained_on
+
+
 def test_unevaluated_targets_are_filled_in():
     rows = [row.copy() for row in SLOW]
     rows[1][::2] = np.nan

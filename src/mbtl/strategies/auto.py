@@ -3,7 +3,7 @@
 Two kinds of trainings compete at every pick, by the gain in V per unit that each is expected to
 bring:
 
-    all contexts, longer    the gain of the last doubling
+    all contexts, longer    what the last two doublings gained in the mean
     x alone, from scratch   what a chooser of contexts expects of specialists so far, and what the
                             last ones brought
 
@@ -152,7 +152,9 @@ class Auto:
             if seen:
                 last, error = standing.doublings[-1]
                 reason += f": the last doubling added {last:.3f}"
-                rise = (self.doubt * rise + seen * last) / (self.doubt + seen)
+                # one alone says little: a large gain may follow a small one
+                recent = float(np.mean([gain for gain, _ in standing.doublings[-2:]]))
+                rise = (self.doubt * rise + seen * recent) / (self.doubt + seen)
                 scatter = max(abs(last) / 2.0, error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
             in_all = rise * np.log2((made.length + standing.left) / made.length)
