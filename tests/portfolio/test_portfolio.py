@@ -1,5 +1,7 @@
 import hashlib
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -315,3 +317,16 @@ def test_metadata_must_be_json(tmp_path):
         make(metadata={"f": print}).save(tmp_path / "p")
     folder = make(metadata={"n": np.int64(3), "v": np.array([1.5])}).save(tmp_path / "p")
     assert load_portfolio(folder).metadata == {"n": 3, "v": [1.5]}
+
+
+def test_portfolio_of_numpy_policies_needs_no_rl_library(tmp_path):
+    folder = make().save(tmp_path / "p")
+    script = (
+        "import sys, numpy\n"
+        "from mbtl.portfolio import load_portfolio\n"
+        f"policy = load_portfolio({str(folder)!r}).policy_for({{'length': 2.0}})\n"
+        "assert int(policy.predict(numpy.zeros(1))[0]) == 1\n"
+        "heavy = {'torch', 'gymnasium', 'stable_baselines3', 'jax'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

@@ -203,6 +203,9 @@ def test_one_small_doubling_after_a_large_one_does_not_end_the_policy_for_all():
         rows = [*(np.full(N, at) for at in (first, 0.5, 0.5)), alone]
         found = Auto().propose(problem(), told(*trainings, rows=rows), RNG)
         assert len(found.contexts) == trained_on
+    history = told(*trainings, rows=[*(np.full(N, at) for at in (0.3, 0.5, 0.5)), alone / 2.0])
+    unsure = Auto().propose(replace(problem(), least_left=0.05), history, RNG)
+    assert 0.5 < unsure.chance_left < 0.95
 
 
 def test_unevaluated_targets_are_filled_in():

@@ -268,13 +268,17 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
 
     first = training_seed(5, 0, WRONG)
     study = study_of(seed=5)
-    ran(study, diverging, evaluate, threads=parallel, retries=1, report=False)
+    heard, ear = [], Callback()
+    ear.on_note = lambda study, words: heard.append(words)
+    ran(study, diverging, evaluate, threads=parallel, retries=1, report=False, callbacks=[ear])
     wrong = SPACE.context(WRONG)["x"]
     assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 1)]
     assert all(len(found) == 1 for found in seeds.values())
     assert not study.state.failures
     (failed,) = (event.data for event in study.log.read() if event.kind == "failed")
     assert (failed["reason"], failed["again"]) == ("FloatingPointError: diverged", True)
+    (note,) = heard
+    assert note.endswith("failed, and is begun again: FloatingPointError: diverged")
     (told,) = (one for one in study.trainings if one.source == WRONG)
     assert told.seed == training_seed(5, 0, WRONG, 1)
 

@@ -155,7 +155,7 @@ class Auto:
                 # one alone says little: a large gain may follow a small one
                 recent = float(np.mean([gain for gain, _ in standing.doublings[-2:]]))
                 rise = (self.doubt * rise + seen * recent) / (self.doubt + seen)
-                scatter = max(abs(last) / 2.0, error)
+                scatter = max(abs(recent) / 2.0, abs(recent - last), error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
             in_all = rise * np.log2((made.length + standing.left) / made.length)
         promised = None if standing.begins else gain

@@ -120,7 +120,10 @@ class Batches:
                     self._announce("on_told", pick)
                 elif trouble.pruned and trouble.kept is None:
                     self._announce("on_pruned", pick, trouble.reason)
-                elif not again:
+                elif again:
+                    words = f"{self.study.state.where(pick)} failed, and is begun again"
+                    self._announce("on_note", f"{words}: {_reason(trouble)}")
+                else:
                     self._announce("on_failed", pick, _reason(trouble))
                     self._failed = pick, trouble
                     if self._in_a_row > self.failures_allowed:

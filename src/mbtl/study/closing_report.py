@@ -148,7 +148,7 @@ def plan_to_do(
         state: of the study.
         in_memory: places of the policies that are there, though not saved.
         whole: as of `plan_of`.
-        baselines: names of what is to be played beside them.
+        baselines: names of what is to be played beside them; the plan does not count them yet.
         metrics: names of what is to be measured.
     """
     if not state.rows or state.spec.risk < 1.0:

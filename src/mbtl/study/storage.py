@@ -203,7 +203,7 @@ class SqlLog:
         return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
     def delete(self) -> None:
-        """All events and heartbeats of the study, for ever."""
+        """All events and heartbeats of the study, for ever; `delete_study` asks first."""
         import sqlalchemy as sa
 
         def write(connection: sa.Connection) -> None:

@@ -28,7 +28,7 @@ from mbtl.plain import LARGEST, floats, refused
 from mbtl.score import SCORE
 from mbtl.settings import described, described_code
 
-__all__ = [
+__all__ = [  # beside what `mbtl.trainers` shows
     "check_asked",
     "check_settings",
     "checked_returns",

@@ -52,5 +52,5 @@ def test_check_fails_a_dead_axis_after_showing_the_report(mbtl_command):
     assert (code, json.loads(out)["ok"]) == (1, False)
 
 
-def test_check_on_a_user_s_problem(mbtl_command):
+def test_check_on_a_problem_of_a_file(mbtl_command):
     mbtl_command.done("check", f"{__file__}:cmdp")
