@@ -224,7 +224,7 @@ def variants() -> dict[str, Auto]:
         "auto": auto,
         "no early look": replace(auto, first=1.0),
         "nothing is usual": replace(auto, doubt=1e-3),
-        "the last doubling is all": replace(auto, double_share=0.0),
+        "nothing is usual of a doubling": replace(auto, double_share=0.0),
     }
 
 
