@@ -22,14 +22,25 @@ def runs_of(comparison, selector):
 
 @pytest.fixture(scope="module")
 def world_comparison():
-    return compare(["equidistant", "oracle"], [WORLD], budget=15)
+    return compare(["mbtl", "greedy", "equidistant", "oracle"], [WORLD], budget=15)
 
 
-def test_the_oracle_s_picks_in_the_linear_gap_world_are_known(world_comparison):
-    (run,) = runs_of(world_comparison, "oracle")
-    assert run.sources == (49, 82, 16, 32, 65, 93, 5, 40, 74, 23, 56, 10, 87, 97, 1)
-    assert run.performance[3] == pytest.approx(0.8652, abs=5.1e-5)
-    assert run.performance[14] == pytest.approx(0.8911, abs=1e-9)
+@pytest.mark.parametrize(
+    ("selector", "sources", "v4", "v15"),
+    [
+        ("greedy", [49, 82, 16, 32, 65, 40, 73, 93, 5, 24, 57, 10, 87, 44, 77], 0.8652, 0.8909),
+        ("oracle", [49, 82, 16, 32, 65, 93, 5, 40, 74, 23, 56, 10, 87, 97, 1], 0.8652, 0.8911),
+        ("equidistant", [96, 89, 82, 76, 69, 63, 56, 49, 43, 36, 30, 23, 16, 10, 3], None, 0.89175),
+        ("mbtl", [49, 99, 0, 74], 0.8544, None),
+    ],
+)
+def test_closed_answers_of_the_linear_gap_world(world_comparison, selector, sources, v4, v15):
+    (run,) = runs_of(world_comparison, selector)
+    assert list(run.sources[: len(sources)]) == sources
+    if v4 is not None:
+        assert run.performance[3] == pytest.approx(v4, abs=5.1e-5)
+    if v15 is not None:
+        assert run.performance[14] == pytest.approx(v15, abs=1e-9)
     assert run.theta == 0.005
 
 
