@@ -169,7 +169,7 @@ def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
     [
         (("run", "cartpole-lenght"), "Did you mean 'cartpole-length'? `mbtl cmdps` lists all."),
         (("run", "OWN", "--strategy", "gredy"), "Did you mean 'greedy'"),
-        (("run", "OWN", "--budget", "0"), "budget must be from 1"),
+        (("run", "OWN", "--budget", "0"), "budget must be 1 or more units"),
         (("run", "OWN", "--budget", "16", "--strategy", "mbtl"), "budget must be from 1"),
         (("run", "OWN", "--preset", "quikc"), "preset"),
         (("run", "OWN", "--timesteps", "10"), "timesteps"),

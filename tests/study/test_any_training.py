@@ -178,7 +178,7 @@ def test_selectors_see_specialists_only():
         (Proposal(0, "x", length=0.0), r"has a start= and targets="),
         (Proposal(3, "x", start=0, length=0.5, sources=ALL), "goes on beyond the 1 units"),
         (Proposal(3, "x", start=0, length=9.0, sources=ALL), "got 8 units where 1 are spent"),
-        (Proposal(3, "x", sources=(1, 2)), "with `source` among them, got 3"),
+        (Proposal(3, "x", sources=(1, 2)), "with `source` among them, got source=3"),
         (Proposal(3, "x", sources=(3, 3)), "different ones of several"),
     ],
 )

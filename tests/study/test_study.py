@@ -284,7 +284,7 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"budget": 0}, "budget must be from 1"),
+        ({"budget": 0}, "budget must be 1 or more units"),
         ({"budget": 21, "strategy": "mbtl"}, "budget must be from 1"),
         ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
         ({"seed": -1}, ">= 0"),

@@ -48,12 +48,12 @@ def run(
     ],
     preset: Annotated[str | None, option(None, "Recipe; `mbtl cmdps CMDP` lists them.")] = None,
     budget: Annotated[
-        int | None, option(None, "Number of trainings K; default: the preset's.")
+        int | None, option(None, "Units: whole trainings on one context; default: the preset's.")
     ] = None,
     steps: Annotated[
         str | None, option(None, "Pay in environment steps, all in: 20M.", metavar="NUMBER")
     ] = None,
-    strategy: Annotated[str, option(None, "What to train next; the paper's rule: mbtl.")] = "auto",
+    strategy: Annotated[str, option(None, "auto, mbtl (the paper's), specialists, one-policy, my.py:Mine, ...")] = "auto",
     seed: Annotated[int, option(None, "Root of all randomness.")] = 0,
     study: Annotated[
         Path | None, option(None, "Folder; default: runs/<cmdp>-<preset>-seed<seed>.")

@@ -9,7 +9,14 @@ from mbtl.selectors.base import (
     open_candidates,
 )
 from mbtl.selectors.clustering import KMeansSelector
-from mbtl.selectors.contract import LearnedSelector, Proposes, Selector, Traits, traits_of
+from mbtl.selectors.contract import (
+    LearnedSelector,
+    Proposes,
+    Selector,
+    Traits,
+    check_proposal,
+    traits_of,
+)
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
@@ -43,6 +50,7 @@ __all__ = [
     "Specialists",
     "Traits",
     "WorstFirst",
+    "check_proposal",
     "default_theta",
     "get_selector",
     "nearest_distance",

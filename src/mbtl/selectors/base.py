@@ -69,12 +69,12 @@ class SelectionProblem:
                 f"trainable must be a mask of {self.n} contexts, got "
                 f"{self.trainable.dtype} of shape {self.trainable.shape}"
             )
-        if self.budget < 1 or (self.abilities is None and self.budget > len(self.sources)):
+        most, rule = len(self.sources), "1 or more units"
+        if self.abilities is None:
             which = "contexts" if self.trainable is None else "trainable contexts"
-            raise InvalidInput(
-                f"budget must be from 1 to the number of {which} ({len(self.sources)}), "
-                f"got {self.budget}"
-            )
+            rule = f"from 1 to the number of {which} ({most})"
+        if self.budget < 1 or (self.abilities is None and self.budget > most):
+            raise InvalidInput(f"budget must be {rule}, got {self.budget}")
         if not (is_finite(self.risk) and 0.0 < self.risk <= 1.0):
             raise InvalidInput(
                 f"risk is the share of the worst targets, in (0, 1], got {short(self.risk)}"
@@ -176,7 +176,8 @@ class Proposal:
     @property
     def contexts(self) -> tuple[int, ...]:
         """Indices of all that is trained on, rising: their order does not matter."""
-        return tuple(sorted(int(i) for i in self.sources or (self.source,)))
+        some = self.sources if len(self.sources) else (self.source,)  # an array will do, too
+        return tuple(sorted(int(i) for i in some))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from mbtl.errors import InvalidInput
 from mbtl.history import History
+from mbtl.plain import is_finite, short
 from mbtl.selectors.base import Proposal, SelectionProblem
 
 
@@ -117,3 +118,58 @@ def adopted(given: Any) -> Selector:
         "a selector has a method propose(problem, history, rng), got "
         f"{type(given).__name__} {given!r:.60}; `mbtl.selectors.selector_names()` lists ours"
     )
+
+
+def check_proposal(
+    selector: Proposes, proposal: Any, history: History, *, any_training: bool
+) -> None:
+    """What a user's own selector or strategy gives, which may be anything.
+
+    Raises:
+        InvalidInput: it breaks its contract.
+    """
+    name, n = getattr(selector, "name", type(selector).__name__), history.n_targets
+    if not isinstance(proposal, Proposal):
+        raise InvalidInput(
+            "a strategy proposes a mbtl.selectors.Proposal(source, reason), got "
+            f"{type(proposal).__name__} {proposal!r:.60} from {name!r}"
+        )
+    source, start, length = proposal.source, proposal.start, proposal.length
+    some = proposal.sources if len(proposal.sources) else (source,)
+    proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in (*some, source))
+    if not (proper and len(some) == len(set(some)) and source in some):
+        got = short(source)
+        if len(proposal.sources):
+            got = f"source={got} and sources={short(tuple(proposal.sources))}"
+        raise InvalidInput(
+            f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
+            f"with `source` among them, got {got} from {name!r}"
+        )
+    if not any_training:
+        if len(some) > 1 or start is not None or length is not None:
+            raise InvalidInput(
+                f"a selector proposes one context, from scratch, got {proposal} from {name!r}; a "
+                "strategy over other trainings says so by traits = Traits(any_training=True)"
+            )
+        if not history.open_mask(n)[source]:
+            raise InvalidInput(
+                "a selector proposes contexts that are neither trained, under way nor failed, got "
+                f"{source} from {name!r}; `history.open_mask` says which are open"
+            )
+    rows = len(history)
+    if start is not None and not (isinstance(start, (int, np.integer)) and 0 <= start < rows):
+        there = f"0 to {rows - 1}" if rows else "of which there are none so far"
+        raise InvalidInput(
+            f"a training begins with the policy of a row, {there}, got start={start!r} from "
+            f"{name!r}; None is from scratch"
+        )
+    if length is not None and not (is_finite(length) and length >= 0.0):
+        raise InvalidInput(
+            f"a training has a length >= 0 in units, got {short(length)} from {name!r}"
+        )
+    made = None if start is None else history.made(start)
+    if made and length and made.contexts == proposal.contexts and length <= made.length:
+        raise InvalidInput(
+            f"a training goes on beyond the {made.length:g} units that it has, got length="
+            f"{length:g} from {name!r}; it is the length in all"
+        )

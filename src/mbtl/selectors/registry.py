@@ -54,11 +54,16 @@ def get_selector(selector: str | Proposes) -> Selector:
     """
     if not isinstance(selector, str):
         return adopted(selector)
-    if ":" in selector:
+    if is_own(selector):
         return _own(selector)
     if selector not in _FACTORIES:
         raise unknown_name("selector", selector, _FACTORIES)
     return _FACTORIES[selector]()
+
+
+def is_own(name: str) -> bool:
+    """Whether it says where a user's own selector is, or tries to."""
+    return ":" in name or name.endswith(".py")
 
 
 def _own(reference: str) -> Selector:

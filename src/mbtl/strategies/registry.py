@@ -7,6 +7,7 @@ from collections.abc import Callable
 from mbtl.errors import unknown_name
 from mbtl.selectors import get_selector, selector_names
 from mbtl.selectors.contract import Proposes, Selector
+from mbtl.selectors.registry import is_own
 from mbtl.strategies.all_first import AllFirst
 from mbtl.strategies.auto import Auto
 from mbtl.strategies.one_policy import OnePolicy
@@ -32,6 +33,6 @@ def get_strategy(strategy: str | Proposes) -> Selector:
     """
     if isinstance(strategy, str) and strategy in _FACTORIES:
         return _FACTORIES[strategy]()
-    if isinstance(strategy, str) and ":" not in strategy and strategy not in selector_names():
+    if isinstance(strategy, str) and not is_own(strategy) and strategy not in selector_names():
         raise unknown_name("strategy", strategy, strategy_names())
     return get_selector(strategy)

@@ -14,7 +14,7 @@ from mbtl.history import History
 from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, open_candidates
-from mbtl.selectors.contract import Selector
+from mbtl.selectors.contract import Selector, check_proposal
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
@@ -251,46 +251,16 @@ def _within(state: StudyState, facts: dict[str, Any]) -> dict[str, Any] | str:
 
 def _check_proposal(state: StudyState, seen: History, strategy: Selector, proposal: Any) -> None:
     """A user's own strategy may give anything."""
-    name, n = getattr(strategy, "name", type(strategy).__name__), seen.n_targets
-    if not isinstance(proposal, Proposal):
-        raise InvalidInput(
-            f"a strategy proposes a mbtl.selectors.Proposal(source, reason), got "
-            f"{type(proposal).__name__} {proposal!r:.60} from {name!r}"
-        )
-    some = proposal.sources or (proposal.source,)
-    proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in some)
-    if not (proper and len(some) == len(set(some)) and proposal.source in some):
-        raise InvalidInput(
-            f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
-            f"with `source` among them, got {proposal.source!r:.60} from {name!r}"
-        )
+    check_proposal(strategy, proposal, seen, any_training=state.spec.any_training)
     if proposal.targets is not None:
-        checked_targets(proposal.targets, n)
+        checked_targets(proposal.targets, seen.n_targets)
     if state.spec.any_training:
-        _check_training(state, name, proposal)
-        return
-    if len(some) > 1 or proposal.start is not None or proposal.length is not None:
-        raise InvalidInput(
-            f"a selector proposes one context, from scratch, got {proposal} from {name!r}; a "
-            "strategy over other trainings says so by traits = Traits(any_training=True)"
-        )
-    if not seen.open_mask(n)[some[0]]:
-        raise InvalidInput(
-            f"a selector proposes contexts that are neither trained, under way nor failed, got "
-            f"{some[0]} from {name!r}; `history.open_mask` says which are open"
-        )
+        _check_training(state, getattr(strategy, "name", type(strategy).__name__), proposal)
 
 
 def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
-    """Whether there is such a policy to begin with, and the trainer can do what is asked."""
+    """Whether the trainer can do what is asked, and it is new and can be paid."""
     spec, seen, start, length = state.spec, state.history(), proposal.start, proposal.length
-    if start is not None and not (isinstance(start, (int, np.integer)) and 0 <= start < len(seen)):
-        raise InvalidInput(
-            f"a training begins with the policy of a row, 0 to {len(seen) - 1}, got "
-            f"start={start!r} from {name!r}; None is from scratch"
-        )
-    if length is not None and not (np.isfinite(length) and length >= 0.0):
-        raise InvalidInput(f"a training has a length >= 0 in units, got {length!r} from {name!r}")
     pick = state.planned(_facts(state, proposal))
     asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,

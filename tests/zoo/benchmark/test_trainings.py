@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 import transfer_worlds
+from mbtl.errors import InvalidInput, MbtlError
 from mbtl.history import Training
 from mbtl.selectors import Proposal, get_selector
 from mbtl.zoo.benchmark.replay import replay
-from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings, specialists_of
+from mbtl.zoo.benchmark.trainings import (
+    ABILITIES,
+    TransferWorld,
+    replay_trainings,
+    specialists_of,
+)
 from scripted import Scripted
 
 DATA = transfer_worlds.tuning_pays()
@@ -62,8 +68,44 @@ def test_what_cannot_be_answered_gave_nothing_and_cost_nothing():
     run = asked(Proposal(8, "", sources=(8, 10)), Proposal(11, ""), Proposal(10, ""))
     assert run.history.given_up == (Training((8, 10)),)
     assert run.history.failed == (11,)
+    assert run.refused == (Training((8, 10)), Training((11,)))
     assert run.history.sources == (10,)
     assert run.units == pytest.approx([1.0])
+
+
+@pytest.mark.parametrize(
+    ("proposal", "words"),
+    [
+        (None, "got NoneType None from 'scripted'"),
+        (Proposal(-1, ""), "from 0 to 40, .*got -1"),
+        (everybody(-1.0), "length >= 0 in units, got -1.0"),
+        (everybody(np.nan), "length >= 0 in units, got nan"),
+        (everybody(1.0, start=0), "goes on beyond the 1 units that it has, got length=1 "),
+        (everybody(2.0, start=-1), "the policy of a row, 0 to 0, got start=-1"),
+        (everybody(1.0), "asked for once"),
+    ],
+)
+def test_what_no_study_would_take_is_refused_in_a_replay_too(proposal, words):
+    with pytest.raises(InvalidInput, match=words):
+        asked(everybody(1.0), proposal)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"seed": 3}, "seed is an index from 0 to 0, got 3"),
+        ({"seed": "x"}, "seed must be a whole number"),
+        ({"abilities": {"lenght"}}, "abilities are some of .*got .'lenght'"),
+        ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
+        ({"budget": 0}, "budget must be 1 or more units, got 0"),
+        ({"strategy": "aut"}, "Did you mean 'auto'"),
+    ],
+)
+def test_a_replay_that_cannot_be_is_refused(how, words):
+    how = {"seed": 0, "abilities": ABILITIES, "budget": 2, "strategy": "auto", **how}
+    with pytest.raises(MbtlError, match=words):
+        world = TransferWorld(DATA, how["seed"], abilities=how["abilities"])
+        replay_trainings(how["strategy"], world, how["budget"])
 
 
 @pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "specialists"])

@@ -8,8 +8,10 @@ A strategy asks as it does in a study, and what it asks for is rounded to what t
   the one asked for (a copy of the policy of 8 units is answered by that of 4), its length likewise;
 - one context from scratch: the whole training.
 
-Each costs the units between its marks. What the data cannot answer counts as a training that gave
-nothing, at no price, so that a strategy which takes failures into account asks for something else.
+Each costs the units between its marks. What the data cannot answer (some contexts but not all, a
+context without trainings, a copy of a specialist) counts as a training that gave nothing, at no
+price, so that a strategy which takes failures into account asks for something else; the run has it
+among `refused`. Policies are evaluated on all targets, whatever a proposal says.
 """
 
 from __future__ import annotations
@@ -23,11 +25,13 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History, Training, standard_errors
+from mbtl.plain import short, whole
 from mbtl.processes import threads_for
 from mbtl.routing import last_route
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, default_theta
-from mbtl.selectors.contract import Selector, traits_of
+from mbtl.selectors.contract import Proposes, check_proposal, traits_of
+from mbtl.strategies import get_strategy
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.transfers import TransferData
 
@@ -68,6 +72,7 @@ class TrainingsRun:
         seed: index of the seed of the data.
         budget: units that it had.
         trainings: contexts, start and length of each that was answered, in order.
+        refused: likewise, that the data cannot answer.
         reasons: why each was asked for.
         units: (k,) paid after each.
         value: (k,) V after each, on fresh episodes, routed by those seen.
@@ -79,6 +84,7 @@ class TrainingsRun:
     seed: int
     budget: float
     trainings: tuple[Training, ...]
+    refused: tuple[Training, ...]
     reasons: tuple[str, ...]
     units: Array
     value: Array
@@ -108,15 +114,26 @@ class TransferWorld:
         theta: float | None = None,
         abilities: frozenset[str] = ABILITIES,
     ) -> None:
-        """Nothing is trained yet."""
+        """Nothing is trained yet.
+
+        Raises:
+            InvalidInput: there is no such seed, or ability.
+        """
+        seeds = len(data.specialists)
+        if not 0 <= whole("seed", seed) < seeds:
+            raise InvalidInput(f"seed is an index from 0 to {seeds - 1}, got {seed}")
+        if not abilities <= ABILITIES:
+            raise InvalidInput(
+                f"abilities are some of {sorted(ABILITIES)}, got {sorted(map(str, abilities))}"
+            )
         self.data, self.seed, self.abilities = data, seed, abilities
         self.theta = default_theta(data.n) if theta is None else theta
         self._place = {int(source): i for i, source in enumerate(data.sources)}
 
-    def problem(self, budget: float, *, any_training: bool = True) -> SelectionProblem:
+    def problem(self, budget: int, *, any_training: bool = True) -> SelectionProblem:
         """What a strategy may know of it; a selector no more trainings than there are sources."""
         trainable = np.isin(np.arange(self.data.n), self.data.sources)
-        units = int(budget) if any_training else min(int(budget), len(self.data.sources))
+        units = budget if any_training else min(budget, len(self.data.sources))
         return SelectionProblem.of(
             self.data.space,
             budget=units,
@@ -136,7 +153,7 @@ class TransferWorld:
         """
         before = rows[asked.start or 0].training.length if asked.goes_on else 0.0
         marks, bounds = self._marks(rows, asked), self.data.bounds
-        mark = _rounded(list(marks), asked.length, before, left)
+        mark = _rounded(list(marks), asked.length, before, left) if asked.length else None
         if mark is None or any(row.training == replace(asked, length=mark) for row in rows):
             return None
         (seen, fresh), deviation = bounds.normalise(marks[mark][0]), marks[mark][1]
@@ -196,19 +213,21 @@ class TransferWorld:
 
 
 def replay_trainings(
-    strategy: Selector, world: TransferWorld, budget: int, *, seed: int = 0
+    strategy: str | Proposes, world: TransferWorld, budget: int, *, seed: int = 0
 ) -> TrainingsRun:
     """Let a strategy ask until its units are spent, or it has nothing more to ask for.
 
     Args:
-        strategy: any of `mbtl.strategies`, selectors among them.
+        strategy: any of `mbtl.strategies`, selectors among them, by name, or your own.
         world: that answers and charges.
         budget: units.
         seed: root seed of the strategy's generators.
 
     Raises:
-        InvalidInput: it asks for the same training again.
+        InvalidInput: a proposal breaks the contract, or is one that was made before; the budget is
+            no whole number.
     """
+    strategy, budget = get_strategy(strategy), whole("budget", budget)
     alone = not traits_of(strategy).any_training
     problem = world.problem(budget, any_training=not alone)
     rows, refused = list[Row](), list[Training]()
@@ -225,10 +244,11 @@ def replay_trainings(
             break
         finally:
             seconds += time.perf_counter() - begun
+        check_proposal(strategy, proposal, history, any_training=not alone)
         asked = _training(history, proposal)
         if asked in history.asked:
             raise InvalidInput(
-                f"a training is asked for once, got {asked} again from {strategy.name!r}; "
+                f"a training is asked for once, got {short(asked)} again from {strategy.name!r}; "
                 "`history.asked` has those that are done or gave nothing"
             )
         row = world.answer(rows, asked, proposal.source, problem.budget - paid)
@@ -244,6 +264,7 @@ def replay_trainings(
         world.seed,
         float(budget),
         tuple(row.training for row in rows),
+        tuple(refused),
         tuple(reasons),
         np.cumsum([row.price for row in rows]),
         np.array(value),
