@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mbtl.contexts import Categorical, ContextSpace, Linear, Log
+from mbtl.envs.references import ways_of
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.problems import CMDP, check_cmdp
 from mbtl.problems.shown import ShowContext, Showing
@@ -43,6 +44,29 @@ def test_a_problem_from_an_environment_can_show_its_context():
     assert cmdp.trainer.make_env is cmdp.make_env
     assert pickle.loads(pickle.dumps(cmdp.make_env)) == cmdp.make_env
     check_cmdp(cmdp, steps=20).raise_if_failed()
+
+
+class ByItself(Pendulum):
+    ways = ("rest",)
+
+    def drive(self):
+        return super().step([1.0])
+
+    def follow(self, way):
+        assert way == "rest"
+        return super().step([0.0])
+
+
+def test_what_goes_by_itself_does_so_with_its_context_shown():
+    bare = Showing(lambda context: gymnasium.make("Pendulum-v1"), SPACE)({"mass": 1.0})
+    assert ways_of(bare) == ()
+    make = Showing(lambda context: ByItself(context, visibility="hidden"), SPACE)
+    one, other = make({"mass": 1.0}), make({"mass": 1.0})
+    assert ways_of(one) == ("unguided", "rest")
+    for torque, go in ((1.0, one.drive), (0.0, lambda: one.follow("rest"))):
+        one.reset(seed=3)
+        other.reset(seed=3)
+        np.testing.assert_array_equal(go()[0], other.step([torque])[0])
 
 
 def test_what_cannot_be_shown_is_refused():

@@ -95,19 +95,26 @@ def test_random_actions_stand_in_where_there_is_nothing_else(baselines, compared
         assert lines(summarise_study(study), SPACE)[0].startswith("Training is worth it: 0.")
 
 
-def test_what_nobody_asked_for_cannot_cost_the_fresh_v(capsys):
+@pytest.mark.parametrize("own", [{}, {"mine": "random_actions"}])
+def test_a_baseline_that_fails_cannot_cost_the_fresh_v(own, capsys):
     class Diverging(WithRandomActions):
+        ill = True
+
         def measure(self, policy, contexts, seeds, names):
-            if policy == "random_actions":
+            if self.ill and policy == "random_actions":
                 raise RuntimeError("the simulator diverged")
             return super().measure(policy, contexts, seeds, names)
 
     trainer = Diverging(train, evaluate, save, load, score="delay")
-    cmdp = dataclasses.replace(problem(), trainer=trainer)
+    cmdp = dataclasses.replace(problem(baselines=own), trainer=trainer)
     study = mbtl.create_study(cmdp, budget=1, strategy="equidistant")
     assert study.run().fresh is not None
-    assert "'random actions' could not be compared: RuntimeError" in capsys.readouterr().err
+    name = "mine" if own else "random actions"
+    assert f"{name!r} could not be compared: RuntimeError" in capsys.readouterr().err
     assert not summarise_study(study).baselines
+    Diverging.ill = False
+    study.run(progress=False)  # once it is mended
+    assert [one.name for one in summarise_study(study).baselines] == [*own]
 
 
 def test_a_baseline_that_the_system_does_not_know_is_refused_before_any_training():

@@ -301,7 +301,11 @@ def test_a_training_that_cannot_be_is_refused(any_training):
         [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)
         with pytest.raises(StorageError, match=words):
             read(log)
-    for facts in ({"budget": 1, "steps": 10}, {"budget": 10**6, "steps": None}):
+    for facts in (
+        {"budget": 1, "steps": 10},
+        {"budget": 10**6, "steps": None},
+        {"budget": 10**6, "to_the_end": True},
+    ):
         with pytest.raises(StorageError, match="cannot be"):
             read([*whole, {"kind": "extended", "data": facts, "arrays": {}}])
 

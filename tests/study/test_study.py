@@ -230,7 +230,11 @@ def test_the_study_ends_when_all_that_is_left_is_predicted_to_gain_little(tmp_pa
     again = mbtl.load_study(tmp_path)
     assert again.is_finished
     assert "gain less than" in again.stop_reason
-    again.tell(0, row(0))  # news: it asks the selector once more
+    same = {"budget": 20, "stop_confidence": 0.8}
+    more = new(tmp_path, strategy="auto", **same, load_if_exists=True)  # all is to be spent
+    assert more.stop_reason is None
+    assert mbtl.load_study(tmp_path).spec.stop_left is None
+    again.refresh()
     assert again.stop_reason is None
 
 

@@ -87,6 +87,31 @@ def test_environments_that_cannot_be_copied_begin_a_new_episode(tmp_path):
     assert not same(ways[0].policy, whole)  # ... and not the undisturbed one
 
 
+LIVE = []
+
+
+class Elsewhere(Guess):
+    """As one of SUMO or of any library in C: what a copy of it knows is not the simulation."""
+
+    def reset(self, **how):
+        LIVE[:] = [self]
+        return super().reset(**how)
+
+    def step(self, action):
+        LIVE[0]  # none is open once it was closed
+        return super().step(action)
+
+    def close(self):
+        LIVE.clear()
+
+
+def test_environments_whose_simulation_lives_elsewhere_begin_a_new_episode(tmp_path):
+    one, file = trainer(Elsewhere), tmp_path / "training"
+    one.train([{}], 0, length=64 / one.whole, state=file)
+    assert not LIVE
+    assert one.train([{}], 0, length=1.0, state=file).steps == 384
+
+
 @pytest.mark.parametrize(
     ("one", "context"),
     [(trainer(normalize_reward=True), POLE), (trainer(pendulum, "SAC", 64), MASS)],

@@ -231,7 +231,7 @@ class Probe:
         self.space.encode(self._base)
         self._actions: list[Any] = []
         self._first: Rollout | None = None  # of the base context, before any other was simulated
-        self._sound = False
+        self._sound = self._repeats = False
 
     def run(self) -> Iterator[Check]:
         """All checks; an environment that cannot be made or stepped fails the one that met it."""
@@ -244,9 +244,9 @@ class Probe:
         yield from self._guard("observations and actions lie in their spaces", self._inside)
         yield from self._guard("same spaces in every context", self._spaces)
         yield from self._guard("runs and stays finite at the corners", self._corners)
+        yield from self._guard("reset is deterministic", self._reset)
         for axis in self._ends:
             yield from self._guard(f"axis {axis!r} acts on the dynamics", partial(self._acts, axis))
-        yield from self._guard("reset is deterministic", self._reset)
         yield from self._guard("contexts do not leak", self._leaks)
         yield from self._guard("episodes end", self._episodes_end)
 
@@ -344,6 +344,8 @@ class Probe:
         values = self._ends[axis]
         if len(values) < 2:
             return "warning", "it has a single value"
+        if not self._repeats:
+            return "warning", "cannot be decided: a reset with the same seed does not repeat itself"
         rollouts = [self._roll({**self._base, axis: value}) for value in values]
         for value, rollout in zip(values[1:], rollouts[1:], strict=True):
             seen = difference(rollouts[0], rollout, dynamics_only=True)
@@ -363,6 +365,7 @@ class Probe:
                 return "failed", f"the same instance, reset with the same seed, differs: {seen}"
             if seen := difference(first, roll(other, self._actions, self.seed)):
                 return "failed", f"another instance, reset with the same seed, differs: {seen}"
+        self._repeats = True
         return "passed", "same seed, same rollout, in the same instance and in another"
 
     def _leaks(self) -> tuple[Outcome, str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -50,6 +51,17 @@ class ShowContext(gymnasium.ObservationWrapper):  # type: ignore[misc]  # gymnas
     def observation(self, observation: Any) -> Any:
         """What the environment shows, and the coordinates."""
         return np.append(observation, self.coordinates)
+
+    def __getattr__(self, name: str) -> Any:
+        """How the environment goes on by itself (`mbtl.envs.references`), where it does."""
+        if name not in ("ways", "drive", "follow"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        own = getattr(self.env, name)
+        return own if name == "ways" else partial(self._shown, own)
+
+    def _shown(self, own: Callable[..., Any], *way: str) -> tuple[Any, ...]:
+        seen, *rest = own(*way)
+        return self.observation(seen), *rest
 
 
 @dataclass(frozen=True)

@@ -632,6 +632,12 @@ class AskTell:
 
         self._commit(extended)
 
+    def spend_all(self) -> None:
+        """From now on do not end before the budget for want of gain (`Stopping.left`)."""
+        self._commit(
+            lambda state: Event("extended", {"budget": state.spec.budget, "to_the_end": True})
+        )
+
     def record_fresh_returns(
         self,
         served: ArrayLike,

@@ -139,7 +139,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     if not state.seq:
         return {"version": is_text, "uid": _is_uid, "spec": is_record}
     n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
-    least, now = state.spec.budget, state.spec.steps
+    least, now, same = state.spec.budget, state.spec.steps, event.data.get("to_the_end")
 
     def number(holds: Callable[[int], bool]) -> Rule:
         return lambda i: is_whole(i) and holds(i)
@@ -165,8 +165,9 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     returns: dict[str, Rule] = {"targets": or_null(rising), "episodes": is_count}
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {
-            "budget": number(lambda k: k >= least),
-            "steps": lambda s: s is None if now is None else is_whole(s) and s > now,
+            "budget": number(lambda k: k == least if same else k >= least),
+            "steps": lambda s: s is None if same or now is None else is_whole(s) and s > now,
+            "to_the_end": or_null(is_flag),
         },
         "asked": {
             "pick": number(lambda i: i == asked),

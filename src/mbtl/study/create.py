@@ -98,7 +98,8 @@ def create_study(
         name: name of the study within its storage.
         seed: root of the seed tree.
         load_if_exists: go on with a study of this name and settings. A larger budget raises that of
-            the study, which goes on even if it was finished; a smaller one is refused.
+            the study, which goes on even if it was finished, and so does `stopping` without `left`
+            where there was one; a smaller budget is refused.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown strategy, ...
@@ -137,6 +138,8 @@ def create_study(
         _check_same(study.state, spec)
         if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
             study.extend(spec.budget if spec.steps is None else Steps(spec.steps))
+        if spec.stop_left is None and study.spec.stop_left is not None:
+            study.spend_all()
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
 
@@ -303,12 +306,13 @@ def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
 
 
 def _check_same(state: StudyState, given: StudySpec) -> None:
-    """Refuse other settings; the budget may be larger, which extends the study."""
+    """Refuse other settings; what extends the study is none: a larger budget, all of it spent."""
     stored = state.spec
     now = replace(
         given,
         budget=min(given.budget, stored.budget),
         steps=stored.steps if (given.steps or 0) >= (stored.steps or 0) else given.steps,
+        stop_left=stored.stop_left if given.stop_left is None else given.stop_left,
     )
     was, now_record = (
         {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)

@@ -1,7 +1,7 @@
 """Events: everything that ever happened to a study, in order. State is a replay of them.
 
 created   the problem and the settings; always the first
-extended  the budget was raised
+extended  the budget was raised, or is now to be spent in any case
 equipped  a run brought its trainer: recipe and format of the policies, own code, and which
           changes of that were accepted
 claimed   a worker holds a pick from now on: one that is open, or the next, which it proposes

@@ -348,8 +348,10 @@ class StudyState:
         self.stopped = None  # another trainer may be able to do more
 
     def _extended(self, event: Event) -> None:
-        steps = event.data.get("steps", self.spec.steps)
-        self.spec = replace(self.spec, budget=event.data["budget"], steps=steps)
+        data, spec = event.data, self.spec
+        left = None if data.get("to_the_end") else spec.stop_left
+        steps = data.get("steps", spec.steps)
+        self.spec = replace(spec, budget=data["budget"], steps=steps, stop_left=left)
         self.stopped = None
 
     def _asked(self, event: Event) -> None:

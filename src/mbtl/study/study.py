@@ -677,10 +677,7 @@ def _play(
     for name, policy in baselines.items():
         try:
             others[name] = play(policy, plan.contexts, own=False)
-        except FAULTS as error:
-            if name in study.beside.baselines:
-                raise
-            # nobody asked for it, so V must not be lost by it
+        except FAULTS as error:  # V must not be lost by it
             announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
     episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others.values()))
     served, alone = np.full((2, n, episodes), np.nan)

@@ -7,8 +7,9 @@ that decides the future: weights, optimiser, replay, counters, environments in t
 episodes, and the generators of Python, numpy and torch. So an extended training is, bit for bit,
 the one of the whole length, with two exceptions:
 
-- Environments that cannot be copied (of MuJoCo, Box2D, SUMO, in processes of their own, teams)
-  begin a new episode where a training goes on, seeded by the training's seed and its steps.
+- Environments that cannot be copied (of MuJoCo, Box2D, SUMO, in processes of their own, teams), or
+  whose copies cannot be stepped (`_goes_on`), begin a new episode where a training goes on, seeded
+  by the training's seed and its steps.
 - Action noise with a memory (Ornstein-Uhlenbeck) forgets it, since the library resets it.
 
 Where observations are standardised, their statistics move from the first step that goes on, before
@@ -399,7 +400,7 @@ def thawed(
         return None
     model, normalize, envs = content["model"], content["normalize"], content["envs"]
     log_nowhere(model)
-    if envs is None:
+    if envs is None or not _goes_on(envs):
         envs = make_envs()
         if normalize is not None:
             envs = envs.venv
@@ -427,6 +428,22 @@ def _can_be_copied(envs: Any) -> bool:
     if not isinstance(envs, DummyVecEnv):
         return False
     return not any(isinstance(env.unwrapped, EzPickle) for env in envs.envs)
+
+
+def _goes_on(envs: Any) -> bool:
+    """Whether environments from a file can be stepped, tried with copies of them.
+
+    Of a simulation that lives elsewhere (a module, as that of SUMO) the file has none, though all
+    that Python knew of it. What cannot be stepped is left as it is: nothing of it is open.
+    """
+    import cloudpickle
+
+    try:
+        tried = pickle.loads(cloudpickle.dumps(envs))
+        tried.step(np.array([tried.action_space.sample() for _ in range(tried.num_envs)]))
+    except Exception:  # each environment has reasons of its own
+        return False
+    return True
 
 
 def begin_with(model: Any, start: Any) -> None:
