@@ -102,7 +102,7 @@ def test_a_configuration_is_read_as_sumo_reads_it(own, tmp_path):
     ("change", "error", "told"),
     [
         (sumo.PhaseDuration("A1", 0), UnknownName, "Did you mean .*A0"),
-        (sumo.PhaseDuration("A0", 4), UnknownName, r"phase\[5\]"),
+        (sumo.PhaseDuration("A0", 4), InvalidInput, "'A0' has phases 0 to 3, got 4"),
         (sumo.TypeShare("trukc"), UnknownName, "Did you mean 'truck'"),
         (sumo.Attribute("own.rou.xm", "flow", "end"), UnknownName, "Did you mean 'own.rou.xml'"),
         (IN_ROUTES("flwo", "end"), UnknownName, "Did you mean 'flow'"),
@@ -133,6 +133,7 @@ def test_axes_lights_and_times_are_checked_at_construction(own, tmp_path):
         (own, demand, {"lights": ["A1"]}, UnknownName, "Did you mean 'A0'"),
         (tmp_path / "no", demand, {}, InvalidInput, "a scenario needs XML files"),
         (endless, demand, {}, InvalidInput, "give seconds"),
+        (own, demand, {"decision": 0}, InvalidInput, "a decision takes seconds > 0, got 0"),
         (dark, demand, {}, InvalidInput, "needs a network with traffic lights"),
     ):
         with pytest.raises(error, match=words):
@@ -142,6 +143,8 @@ def test_axes_lights_and_times_are_checked_at_construction(own, tmp_path):
 def test_a_speed_limit_is_a_factor_and_no_speed_and_a_share_is_one(own):
     with pytest.raises(InvalidInput, match="0 to 1, got 2"):
         scenario(own, "trucks").files({"trucks": 2.0})
+    with pytest.raises(InvalidInput, match="needs a vTypeDistribution in the demand, got none"):
+        sumo.TypeShare("truck").apply(Files({}), 0.5)
     files = Files({"net-file": str(own.with_name("own.net.xml"))})
     with pytest.raises(InvalidInput, match=r"SpeedLimit takes a factor, got 20\.0"):
         sumo.SpeedLimit().apply(files, 20.0)

@@ -61,6 +61,8 @@ def test_an_environment_and_an_algorithm_are_a_problem():
     assert cmdp.make_env is pendulum
     longer = cmdp.trainer_for(timesteps=900)
     assert (longer.timesteps, longer.hyperparameters) == (900, {"gamma": 0.9})
+    with pytest.raises(UnknownName, match="Did you mean 'n_envs'"):
+        CMDP.from_env("m", SPACE, make_env=pendulum, timesteps=9, trainer_options={"n_env": 2})
 
 
 def test_a_user_s_own_presets():

@@ -73,7 +73,7 @@ def adapt(
         record |= {"after": found.after.tolist(), "lead": found.lead, "margin": found.margin}
         print_json({**record, "written": str(place) if found.is_better else None})
         return
-    kept = f"Nothing was kept, and {place} is as it was."
+    kept = f"Nothing was kept, and {portfolio} is as it was."
     if found.is_better:
         kept = f"It is policy {len(known) + 1} of {place}."
     printer().print(f"{found.explanation} {kept}", markup=False, highlight=False)

@@ -11,7 +11,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -284,6 +284,10 @@ class CMDP:
             make_env = Showing(make_env, space)
             record["settings"] = {**record.get("settings", {}), "visibility": "cube"}
 
+        known = {one.name for one in fields(SB3Trainer)}
+        for name in trainer_options or {}:
+            if name not in known:
+                raise unknown_name("option of SB3Trainer", name, known)
         trainer = SB3Trainer(
             make_env,
             timesteps=timesteps,

@@ -221,11 +221,12 @@ class ScenarioEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped 
             render_mode: "rgb_array": `render` gives pictures.
 
         Raises:
-            InvalidInput: an episode without an end.
+            InvalidInput: an episode without an end, or a decision that takes no time.
         """
         self.seconds = scenario.seconds if seconds is None else seconds
-        if self.seconds <= 0:
-            raise InvalidInput(f"an episode takes seconds > 0, got {self.seconds:g}; give seconds")
+        for what, value in (("an episode", self.seconds), ("a decision", decision)):
+            if not value > 0:
+                raise InvalidInput(f"{what} takes seconds > 0, got {value:g}; give seconds")
         self.control: Any = control(scenario)
         self.observation_space = self.control.observation_space
         self.action_space = self.control.action_space

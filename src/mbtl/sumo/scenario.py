@@ -286,8 +286,14 @@ class PhaseDuration:
     def apply(self, files: Files, value: Value) -> None:
         """See `Change`."""
         paths = files.paths(*LIGHTS)
-        own = [path for path in paths for one in files.tree(path).iter("tlLogic")
-               if one.get("id") == self.light]  # fmt: skip
+        found = [(path, one) for path in paths for one in files.tree(path).iter("tlLogic")
+                 if one.get("id") == self.light]  # fmt: skip
+        phases = len(found[-1][1].findall("phase")) if found else self.phase + 1
+        if not 0 <= self.phase < phases:
+            raise InvalidInput(
+                f"the light {self.light!r} has phases 0 to {phases - 1}, got {self.phase}"
+            )
+        own = [path for path, _ in found]
         phase = f"tlLogic[@id={self.light!r}]/phase[{self.phase + 1}]"
         Attribute((own or paths[:1])[-1].name, phase, "duration").apply(files, value)
 
@@ -309,6 +315,11 @@ class TypeShare:
         """See `Change`."""
         groups = files.every("vTypeDistribution", *DEMAND)
         kinds = {kind.get("id", ""): (kind, group) for group in groups for kind in group}
+        if not kinds:
+            raise InvalidInput(
+                f"the share of a type needs a vTypeDistribution in the demand, got none; put "
+                f"{self.type!r} and the others into one"
+            )
         if self.type not in kinds:
             raise unknown_name("vehicle type in a vTypeDistribution", self.type, kinds)
         share = float(value)
