@@ -12,6 +12,7 @@ from mbtl.history import History, Training
 from mbtl.selectors import Exhausted, get_selector
 from mbtl.strategies import OnePolicy
 from mbtl.strategies.auto import Auto
+from mbtl.study import StudyWaiting
 from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings
 
 N = 9
@@ -114,8 +115,17 @@ def test_whoever_trains_by_hand_is_asked_for_one_context_until_a_trainer_is_know
     assert "no trainer is known so far" in note
     made = simulator.train([by_hand.context], by_hand.seed)
     study.tell(by_hand, simulator.evaluate(made, SPACE.contexts, None))
-    study.equip(mbtl.trainers.FunctionTrainer(simulator.train, simulator.evaluate))
-    assert study.ask().sources == tuple(range(SPACE.n))
+    trainer = mbtl.trainers.FunctionTrainer(simulator.train, simulator.evaluate)
+    study.equip(trainer)
+    first = study.ask()
+    assert first.sources == tuple(range(SPACE.n))
+    with pytest.raises(StudyWaiting, match="until one of the 1 picks .*: what is best next"):
+        study.ask()
+    assert not study.is_finished
+    study.tell(first, np.full(N, 0.3))
+    assert study.ask().start is not None
+    with pytest.warns(mbtl.errors.Notice, match="no trainer is known so far"):  # that it uses
+        mbtl.CMDP("mine", SPACE, trainer).study(budget=4).ask()
 
 
 def test_what_a_trainer_cannot_do_is_said_once(capsys):

@@ -157,6 +157,30 @@ def test_an_evaluation_of_the_report_has_the_time_limit_of_the_study(capsys):
     )
 
 
+def test_a_context_that_cannot_be_played_does_not_cost_the_fresh_v(capsys):
+    def evaluate(policy, contexts, seeds):
+        found = np.array(returns_of(policy, contexts, seeds))
+        found[[context["x"] == 1.0 for context in contexts]] = np.nan
+        return found
+
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 20})
+    study = created(space, budget=3, bounds=(0.0, 1.0))
+    fresh = study.run(lambda context, seed: context["x"], evaluate).fresh
+    assert fresh.contexts == 19
+    assert abs(fresh.value - study.routing.value.value) < 0.1
+    told = capsys.readouterr().err
+    assert "1 of 20 contexts had no fresh episode that counts: of these V is as believed" in told
+
+
+def test_policies_that_were_told_without_files_are_said_to_miss(capsys):
+    study = study_of(budget=1)
+    study.tell(200, 1.0 - np.abs(X - X[200]))
+    run(study)
+    assert "could not be measured: policies that serve were told without their files" in (
+        capsys.readouterr().err
+    )
+
+
 def test_the_worst_contexts_are_not_chosen_by_the_bad_luck_of_a_report():
     result, played = run(study_of(risk=0.1))
     assert result.fresh is None

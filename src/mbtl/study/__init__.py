@@ -4,7 +4,7 @@ from mbtl.study.artifacts import Artifact, ArtifactStore
 from mbtl.study.budget import Cost, Steps
 from mbtl.study.create import Evaluation, Stopping, create_study, load_study
 from mbtl.study.listing import StudyEntry, delete_study, list_studies
-from mbtl.study.records import Pick, StudyFinished
+from mbtl.study.records import Pick, StudyFinished, StudyWaiting
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
 from mbtl.study.study import Callback, Failures, RunResult, Study, Workers
 from mbtl.study.trainings import Training
@@ -26,6 +26,7 @@ __all__ = [
     "Study",
     "StudyEntry",
     "StudyFinished",
+    "StudyWaiting",
     "Training",
     "Workers",
     "create_study",

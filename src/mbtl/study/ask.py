@@ -18,7 +18,7 @@ from mbtl.selectors.contract import Selector, check_proposal
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
-from mbtl.study.records import StudyFinished
+from mbtl.study.records import StudyFinished, StudyWaiting
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.trainers.contract import DEEDS, Ability, checked_targets
@@ -46,7 +46,7 @@ def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -
         worker: who asks.
 
     Raises:
-        StudyFinished: nothing can be asked.
+        StudyFinished: nothing can be asked; `StudyWaiting`: for the moment.
     """
     early, left = _early_stop(state), left_alone(state, watch)
     if early is not None:
@@ -58,12 +58,21 @@ def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -
         return Event("claimed", {"pick": left[0], "seconds": seconds, **holder})
     reason = stop_reason(state)
     if reason is not None:
-        held = len(state.open_picks)
-        waiting = f"; {held} picks are still under way" if held else ""
-        raise StudyFinished(f"the study is finished: {reason}{waiting}")
+        raise nothing_to_ask(state, reason)
     if state.proposing is not None and not watch.is_stale(state.proposing):
         return None
     return Event("claimed", {"pick": len(state.picks), "seconds": PROPOSING, **holder})
+
+
+def nothing_to_ask(state: StudyState, reason: str) -> StudyFinished:
+    """The error that says whether that is so for ever."""
+    held = len(state.open_picks)
+    if held and reason == state.stopped:
+        return StudyWaiting(
+            f"nothing can be asked until one of the {held} picks under way is told: {reason}"
+        )
+    waiting = f"; {held} picks are still under way" if held else ""
+    return StudyFinished(f"the study is finished: {reason}{waiting}")
 
 
 def stop_reason(state: StudyState) -> str | None:

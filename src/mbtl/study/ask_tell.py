@@ -10,6 +10,7 @@ import math
 import random
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch
+from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMismatch
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
@@ -318,6 +319,7 @@ class AskTell:
 
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
+            StudyWaiting: what is best next depends on a pick that is under way; ask again then.
             InvalidInput: n < 1, or a lease that is not > 0.
         """
         if lease is not None and not (is_finite(lease) and lease > 0):
@@ -728,8 +730,13 @@ class AskTell:
             number = claim.data["pick"]
             if number == following and not self._propose(claim.data["token"], lease):
                 continue
-            given = self._pick(self._state.picks[number])
+            record = self._state.picks[number]
+            given = self._pick(record)
             if given.token == claim.data["token"]:
+                by_hand = self.trainer is not None and self._state.problem().assumed
+                if by_hand and self.spec.any_training and not number:
+                    for note in record.notes:  # of what is not tried; nobody else says it
+                        warnings.warn(note, Notice, stacklevel=3)
                 return given
 
     def _propose(self, token: str, lease: float | None) -> bool:
@@ -764,7 +771,7 @@ class AskTell:
 
                 done = self._commit(settled) is not None
                 if done and isinstance(found, str):
-                    raise StudyFinished(f"the study is finished: {found}")
+                    raise ask.nothing_to_ask(self.refresh(), found)
         finally:
             if not done:
                 self._stop_proposing(token)

@@ -19,6 +19,10 @@ class StudyFinished(StudyError):
     """There is nothing left to ask for."""
 
 
+class StudyWaiting(StudyFinished):
+    """There is nothing to ask for until a pick is answered that is under way."""
+
+
 @dataclass(frozen=True)
 class Pick:
     """A training to do, or a policy to evaluate further.

@@ -549,7 +549,7 @@ def _wait_for_others(study: Study, announce: Callable[..., None]) -> bool:
             return False
         if not announced:
             announced = True
-            announce("on_note", f"waiting for the last trainings of {', '.join(theirs)}")
+            announce("on_note", f"waiting for trainings of {', '.join(theirs)}")
         time.sleep(pause * random.uniform(0.5, 1.0))
         pause = min(1.5 * pause, _LONGEST_LOOK)
     return True
@@ -573,6 +573,8 @@ def _report(
         study.state, study.policies, whole=whole, baselines=beside.baselines, metrics=beside.metrics
     )
     if plan is None:
+        if study.state.rows and study.state.fresh is None and study.spec.risk == 1.0:
+            failed("policies that serve were told without their files")
         return
     told = len(study.state.rows)
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
@@ -670,7 +672,7 @@ def _play(
         blank = np.full((targets.size, 1), np.nan)
         means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
         returns = checked_returns(returns, targets.size, study.space.named(targets))
-        return completed(returns), np.reshape(means, (len(names), targets.size))
+        return completed(returns, gaps=own), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
     others: dict[str, tuple[Array, Array]] = {}
@@ -688,6 +690,9 @@ def _play(
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
         metrics[0][:, targets[mine]] = means[:, mine]
+    if lost := int(np.isnan(served[plan.contexts]).any(axis=1).sum()):
+        words = f"{lost} of {plan.contexts.size} contexts had no fresh episode that counts"
+        announce("on_note", f"{words}: of these V is as believed")
     if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
     compared = {name: np.full((n, episodes), np.nan) for name in others}

@@ -557,14 +557,14 @@ def checked_returns(
     return array
 
 
-def completed(returns: Array) -> Array:
+def completed(returns: Array, *, gaps: bool = False) -> Array:
     """(T, E) returns, where an episode that has none counts as the mean of its context's others.
 
     Raises:
-        TrainingFailed: a context has none at all.
+        TrainingFailed: a context has none at all, and there may be no such `gaps`.
     """
     means, _ = episode_moments(returns)
-    if np.isnan(means).any():
+    if np.isnan(means).any() and not gaps:
         raise TrainingFailed(
             f"each context needs the return of an episode, got NaN in all of "
             f"{int(np.isnan(means).sum())} of {len(means)} contexts"
