@@ -124,12 +124,16 @@ def test_what_all_policies_share_is_in_a_return_and_not_in_a_lead():
     assert portfolio.routing.value.margin == pytest.approx(student * 30.0 / n**0.5 / 500, rel=0.15)
 
 
-def test_exact_returns_are_exact_on_the_list_and_nothing_is_known_between():
+def test_exact_returns_are_exact_on_the_list_and_anything_between_those_around_elsewhere():
     portfolio = make(episodes=played(RETURNS, 0.0, 9))
     listed, between = portfolio.explain({"length": 1.0}), portfolio.explain({"length": 1.25})
     assert (listed.error, listed.margin_error) == (0.0, 0.0)
-    assert (between.error, between.margin_error) == (None, None)
-    assert "should return about 300 (its error is unknown)" in between.explanation
+    assert between.error == pytest.approx(200.0 / np.sqrt(12.0))  # 400 and 200, evenly
+    assert "should return about 300 +- 113, judging by the nearest" in between.explanation
+    same = make(returns=np.full((2, 5), 300.0), episodes=played(np.full((2, 5), 300.0), 0.0, 9))
+    agreed = same.explain({"length": 1.25})
+    assert (agreed.error, agreed.margin_error) == (None, None)
+    assert "should return about 300 (its error is unknown)" in agreed.explanation
 
 
 def test_a_context_without_evaluation_is_predicted_and_says_so():

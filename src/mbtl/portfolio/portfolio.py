@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
@@ -155,13 +156,8 @@ class Portfolio:
         Raises:
             ContextMismatch: the context lies outside the axes.
         """
-        asked = dict(context)
-        if outside not in ("error", "nearest"):
-            raise unknown_name("way to treat a context outside", outside, ("error", "nearest"))
-        if outside == "nearest":
-            context = self.space.nearest(asked)
-        seen = forecast(self.space, self.sources, self.routing.beliefs, context)
-        ranking = rank(seen.performance, seen.distance, np.asarray(self.sources, dtype=np.intp))
+        asked, context = dict(context), self._inside(context, outside)
+        seen, ranking = self._ranked(context)
         best, runner_up = int(ranking[0]), int(ranking[1]) if len(ranking) > 1 else None
         returns = self.bounds.denormalise(seen.performance)
         if seen.target is not None:  # the number itself where it is believed, free of rounding
@@ -183,6 +179,18 @@ class Portfolio:
             instead=None if context == asked else dict(context),
         )
 
+    def _inside(self, context: Mapping[str, Value], outside: str) -> Mapping[str, Value]:
+        """The context, or the nearest one inside."""
+        if outside not in ("error", "nearest"):
+            raise unknown_name("way to treat a context outside", outside, ("error", "nearest"))
+        return self.space.nearest(dict(context)) if outside == "nearest" else context
+
+    def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, NDArray[np.intp]]:
+        """What the policies should achieve on a context, and their places, the best first."""
+        seen = forecast(self.space, self.sources, self.routing.beliefs, context)
+        sources = np.asarray(self.sources, dtype=np.intp)
+        return seen, rank(seen.performance, seen.distance, sources)
+
     def trained_on(self, policy: int) -> str:
         """What a policy was trained on, in words: a context, or "all contexts"."""
         return self.space.describe_set(self.sets.get(policy, (self.sources[policy],)))
@@ -201,6 +209,8 @@ class Portfolio:
         if not self.routing.noise_is_known and beliefs.measured[row, target].any():
             return None
         error = self.routing.tails * beliefs.error(row, target, weights)
+        if seen.target is None:
+            error = float(np.hypot(error, np.sqrt(seen.between(policy, less))))
         if error == 0.0 and seen.target is None:
             return None  # between the listed contexts nothing is exact
         return error * (self.bounds.high - self.bounds.low)
@@ -209,7 +219,8 @@ class Portfolio:
         self, context: Mapping[str, Value], *, outside: Literal["error", "nearest"] = "error"
     ) -> Any:
         """The policy that serves a context; `explain` gives the reason."""
-        return self.policy(self.explain(context, outside=outside).policy)
+        _, ranking = self._ranked(self._inside(context, outside))
+        return self.policy(int(ranking[0]))
 
     def policy(self, i: int) -> Any:
         """The policy at position `i`, loaded from its folder on first use.

@@ -43,6 +43,7 @@ class Forecast:
         target: index of the context, None off the list.
         judged_on: (m,) listed contexts whose beliefs make each number.
         weights: (m,) theirs, sum 1.
+        believed: (k, m) performance there.
     """
 
     performance: Array
@@ -51,6 +52,15 @@ class Forecast:
     target: int | None
     judged_on: Indices
     weights: Array
+    believed: Array
+
+    def between(self, policy: int, less: int | None = None) -> float:
+        """Variance of what is between the listed contexts; of a policy, or of its lead.
+
+        As of a number that lies anywhere between those around with the same chance.
+        """
+        around = self.believed[policy] - (0.0 if less is None else self.believed[less])
+        return float(self.weights @ np.square(around - self.weights @ around)) / 3.0
 
 
 def forecast(
@@ -72,8 +82,9 @@ def forecast(
         judged_on, weights = np.array([target]), np.ones(1)
         seen = beliefs.measured[:, target]
         basis = tuple("observed" if there else "predicted" for there in seen)
-    mean = beliefs.on(judged_on)[0] @ weights
-    return Forecast(mean, basis, distance, target, judged_on, weights)
+    believed = beliefs.on(judged_on)[0]
+    mean = believed @ weights
+    return Forecast(mean, basis, distance, target, judged_on, weights, believed)
 
 
 def _listed(space: ContextSpace, context: Mapping[str, Value]) -> int | None:
@@ -146,8 +157,8 @@ class Choice:
         trained_on: what it was trained on, in words.
         predicted_return: what it should return on the asked context, raw units.
         error: standard error of that, raw units: 1.96 of it are half a 95 % interval. None:
-            unknown, because returns are of one episode each, or exact on the listed contexts
-            around and nobody knows what is between.
+            unknown, because returns are of one episode each, or exact and the same on the listed
+            contexts around. Between these it has how much they differ, too.
         basis: "observed" (measured there), "predicted" (by the transfer model, from what was
             measured elsewhere) or "interpolated" (between the nearest listed contexts).
         runner_up: position of the second best policy; None when there is none to compare.

@@ -24,17 +24,20 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
 
 
 def table(summary: StudySummary, space: ContextSpace) -> Table:
-    """The picks, a row each."""
+    """The picks, a row each; with the numbers of their policies, where those are others."""
     budget = f"K = {summary.budget}" if summary.steps is None else f"{counted(summary.steps)} steps"
     size = f"{budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.strategy}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for head in ("pick", "trained on", "V", "minutes"):
+    # sentences speak of policies, which are counted in the order in which they were told
+    apart = any(pick.place not in (None, pick.number) for pick in summary.picks)
+    for head in ("pick", *["policy"] * apart, "trained on", "V", "minutes"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:
         found.add_row(
             "-" if pick.number is None else str(pick.number + 1),
+            *["-" if pick.place is None else str(pick.place + 1)] * apart,
             Text(pick.trained_on(space, "\n")),
             _number(pick.value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
