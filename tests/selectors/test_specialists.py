@@ -130,8 +130,8 @@ def test_with_many_contexts_the_error_of_the_gain_is_stated():
     away = np.abs(problem.unit - problem.unit[210]).sum(axis=1)
     history = History(400).with_row(210, 1.0 - away)
     proposal = Specialists().propose(problem, history, RNG)
-    assert "150 of 400 targets judged" in proposal.notes[0]
-    stated = float(proposal.notes[0].split("+- ")[1].split(":")[0])
+    assert "judged on 150 of 400 targets" in proposal.notes[0]
+    stated = float(proposal.notes[0].split("+- ")[1].split(",")[0])
     whole = Specialists(final_targets=400).propose(problem, history, RNG)
     assert whole.notes == ()
     assert abs(whole.acquisition - proposal.acquisition) < 4 * stated

@@ -49,6 +49,24 @@ def test_one_of_several_contexts_is_a_set(study):
     assert study.history.made(0).contexts == (0, 2, 4)
 
 
+def test_it_is_evaluated_where_all_are_and_not_again_where_it_is_known():
+    played = []
+
+    def counting(policy, contexts, seeds):
+        played.append(len(contexts))
+        return evaluate(policy, contexts, seeds)
+
+    problem = mbtl.CMDP.from_functions(
+        "toy", SPACE, train=train, evaluate=counting, bounds=(0.0, 10.0)
+    )
+    study = mbtl.create_study(problem, budget=1, evaluation=mbtl.Evaluation(3))
+    study.adopt("8.0 mine", {"x": 8.0})
+    assert np.isfinite(study.state.rows[0].returns[4])
+    with pytest.raises(mbtl.StudyError, match="was told before"):
+        study.adopt("8.0 mine", {"x": 8.0})
+    assert played == [3]
+
+
 def test_a_context_that_is_none_is_refused_before_anything_is_played(study):
     with pytest.raises(mbtl.MbtlError, match="not one of the 6 contexts"):
         study.adopt(None, {"x": 7.7})

@@ -73,7 +73,7 @@ def test_telling_a_source_that_is_pending_answers_its_pick():
 @pytest.mark.parametrize(
     ("returns", "words"),
     [
-        (np.full(N, np.nan), "the first of 20 of 20"),
+        (np.full(N, np.nan), "got NaN in all of 20"),
         (np.r_[np.zeros(N - 1), np.inf], "the first of 1 of"),
         (np.zeros(N + 1), r"shape \(20,\)"),
         (np.zeros((N, 2, 2)), "shape"),

@@ -122,7 +122,7 @@ def _seeds(ax: Any, rows: Array, name: str, number: int) -> None:
 
 
 def _finish(ax: Any) -> Any:
-    ax.set_xlabel("trainings k")
+    ax.set_xlabel("units: whole trainings on one context")
     ax.set_ylabel(V_LABEL)
     ax.xaxis.get_major_locator().set_params(integer=True)
     ax.legend(loc="best", ncols=1 if len(ax.get_lines()) < 7 else 2)

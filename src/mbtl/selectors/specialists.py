@@ -198,7 +198,7 @@ def _largest(
         reason += " per cost"
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
-    judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"
+    judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
     return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
 
 

@@ -51,7 +51,7 @@ class Pick:
     reason: str
     targets: tuple[int, ...] | None = None
     sources: tuple[int, ...] = ()
-    contexts: tuple[Context, ...] = ()
+    contexts: tuple[Context, ...] = field(default=(), repr=False)
     start: int | None = None
     done: float = 0.0
     length: float | None = None

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.contexts import middle_of
 from mbtl.errors import (
     InvalidInput,
     MbtlError,
@@ -36,6 +37,7 @@ from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
+from mbtl.selectors import spread_targets
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure
@@ -44,7 +46,7 @@ from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
 from mbtl.study.records import Failure, Pick, StudyFinished
-from mbtl.study.tell import sources_of
+from mbtl.study.tell import answered, sources_of
 from mbtl.study.time_limits import at_most, too_long
 from mbtl.study.trainings import Training
 from mbtl.trainers.contract import (
@@ -207,7 +209,7 @@ class Study(AskTell):
         *,
         trainer: Trainer | None = None,
     ) -> None:
-        """Take in a policy that you have: save it, evaluate it on all contexts, and tell its row.
+        """Take in a policy that you have: save it, evaluate it as all are, and tell its row.
 
         It serves where it is best, trainings may begin with it, and the budget stays whole.
 
@@ -219,6 +221,7 @@ class Study(AskTell):
         Raises:
             InvalidInput: there is no trainer.
             ContextMismatch: the study has no such context.
+            StudyError: one that was trained there, from scratch, was told before.
             StorageError: the policy cannot be saved.
         """
         trainer = self.trainer if trainer is None else trainer
@@ -231,13 +234,21 @@ class Study(AskTell):
             )
         sources = sources_of(self.space, trained_on)
         self.equip(trainer)
-        returns = trainer.evaluate(policy, self.space.contexts, self.evaluation_seeds())
+        state = self.refresh()
+        answered(state, None, sources)  # refused before anything is played
+        targets, contexts = None, self.space.contexts
+        if self.spec.eval_targets is not None:
+            middle = middle_of(sources, self.space.steps)
+            targets = spread_targets(state.problem(), middle, self.spec.eval_targets)
+            contexts = [self.space.context(target) for target in targets]
+        returns = trainer.evaluate(policy, contexts, self.evaluation_seeds(targets))
         kept = None
         if self.artifacts is not None:
             place = f"policies/{self.state.uid}/adopted-{uuid.uuid4().hex[:8]}"
             on = [self.space.context(source) for source in sources]
             kept = self.artifacts.write(place, partial(trainer.save, policy), {"contexts": on})
-        self.tell(sources, returns, policy=kept, policy_object=None if kept else policy)
+        unsaved = None if kept else policy
+        self.tell(sources, returns, targets=targets, policy=kept, policy_object=unsaved)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

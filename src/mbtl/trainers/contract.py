@@ -536,17 +536,24 @@ def checked_returns(
         array = floats(returns)
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors
         raise TrainingFailed(
-            f"returns must be real numbers, got {type(returns).__name__} ({error})"
+            f"returns must be real numbers, in rows of one length, got {type(returns).__name__} "
+            f"({error!s:.90})"
         ) from error
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[0] != n_targets or array.shape[1] < 1:
+        got = "None; does the function return?" if returns is None else f"{np.shape(returns)}"
         raise TrainingFailed(
-            f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), "
-            f"got {np.shape(returns)}"
+            f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), a row for each "
+            f"of the contexts given, got {got}"
         )
     wrong, missing = refused(array), np.isnan(array)
-    bad = np.argwhere(wrong if whole or missing.all() else wrong & ~missing)
+    if array.size and missing.all() and not whole:
+        raise TrainingFailed(
+            "an episode without a return is NaN, but one at least must have one, got NaN in all of "
+            f"{array.size}"
+        )
+    bad = np.argwhere(wrong if whole else wrong & ~missing)
     if len(bad):
         target, episode = bad[0].tolist()
         raise TrainingFailed(
