@@ -457,8 +457,21 @@ def test_functions_are_paid_by_their_reports_or_by_units():
     assert bill.extension == pytest.approx(360 * len(longer))
     alone = [row for row in study.state.rows if len(row.sources) == 1]
     assert bill.training == pytest.approx(450 + 300 * len(alone))  # nothing was reported: 0.3 units
-    assert bill.evaluation == len(study.state.rows) * N * EPISODE * EPISODES  # at most
+    assert bill.evaluation == len(study.state.rows) * N * 2 * EPISODE  # each the longest
     assert study.stop_reason == "every context had its turn"
+
+
+def test_an_evaluation_costs_the_episodes_that_it_returned():
+    study, row = in_steps(60_000, "random"), np.full((N, 20), 0.5)
+    assert study.state.target_steps == EPISODES * EPISODE  # nobody knows so far
+    row[0, 3:] = np.nan  # seventeen broke off
+    for returns, episodes in ((row[:, :3], 3 * N), (row[:, 0], N), (row, 20 * N - 17)):
+        before = study.state.bill()
+        study.tell(study.ask(), returns)
+        bill = study.state.bill()
+        assert bill.evaluation - before.evaluation == episodes * EPISODE
+        assert bill.training - before.training == UNIT
+    assert study.state.target_steps == bill.evaluation / (3 * N)
 
 
 def test_further_evaluations_are_paid_once_and_change_no_price():

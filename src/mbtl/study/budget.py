@@ -20,7 +20,8 @@ class Steps:
         total: steps that the study may spend.
         unit: of one whole training; None: as the trainer says.
         horizon: of the longest episode; None: the CMDP's. What an evaluation cost is known where
-            the trainer counts; else each episode counts as the longest.
+            the trainer counts; else each episode that it returned counts as the longest. Before the
+            first, the trainer's `eval_episodes` are expected on a target, or 10.
 
     Raises:
         InvalidInput: one is not a whole number of 1 or more.

@@ -34,7 +34,7 @@ from mbtl.trainers.contract import Trainer
 from mbtl.version import __version__
 
 EPISODES = 10
-"""Of a policy on a target, where a trainer does not say how many it plays."""
+"""Of a policy on a target, as expected before the first where the trainer does not say."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def _spec(
 
 
 def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
-    """Environment steps of the budget, of a unit and of an evaluation on one target, at most."""
+    """Environment steps of the budget, a unit, an episode, and an evaluation on one target."""
     trainer = facts.trainer
     horizon = facts.horizon if budget.horizon is None else budget.horizon
     unit = budget.unit
@@ -231,7 +231,8 @@ def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
     assert unit is not None
     assert horizon is not None
     episodes = int(getattr(trainer, "eval_episodes", None) or EPISODES)
-    return {"steps": budget.total, "unit": unit, "target_steps": horizon * episodes}
+    each = {"horizon": horizon, "target_steps": horizon * episodes}
+    return {"steps": budget.total, "unit": unit, **each}
 
 
 def load_study(

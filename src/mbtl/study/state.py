@@ -56,8 +56,8 @@ class StudyState:
     """Environment steps of trainings that gave nothing, each try of them."""
     evaluation_steps: float = 0.0
     """Environment steps of all evaluations that were asked for."""
-    _counted: tuple[float, int] = field(default=(0.0, 0), repr=False)
-    """Environment steps of the evaluations whose steps are known, and on how many targets."""
+    evaluated_targets: int = 0
+    """On how many targets those were, each time."""
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
     _performance: Array | None = field(default=None, repr=False)
@@ -213,10 +213,11 @@ class StudyState:
     def target_steps(self) -> float:
         """Environment steps that an evaluation on one target is expected to cost: the mean so far.
 
-        At first as many as it can be.
+        Before the first, what the study was made with.
         """
-        steps, targets = self._counted
-        return steps / targets if targets else float(self.spec.target_steps or 0)
+        if self.evaluated_targets:
+            return self.evaluation_steps / self.evaluated_targets
+        return float(self.spec.target_steps or 0)
 
     @property
     def abilities(self) -> frozenset[str]:
@@ -244,12 +245,11 @@ class StudyState:
             return self.unit_steps * pick.price
         return max(steps - had, 0.0)
 
-    def _pay_evaluation(self, targets: int, steps: float | None) -> None:
-        """At most, where its environment steps are not known."""
-        if steps is not None:
-            self._counted = self._counted[0] + steps, self._counted[1] + targets
-        most = float(targets * (self.spec.target_steps or 0))
+    def _pay_evaluation(self, returns: Array, steps: float | None) -> None:
+        """Each episode counts as the longest where its environment steps are not known."""
+        most = float(np.isfinite(returns).sum() * (self.spec.horizon or 0))
         self.evaluation_steps += most if steps is None else steps
+        self.evaluated_targets += len(returns)
 
     def expected_steps(self, pick: PickRecord) -> float:
         """Environment steps that a pick is expected to cost, all in."""
@@ -406,7 +406,7 @@ class StudyState:
         each[targets] = returns
         pick = None if data["pick"] is None else self.picks[data["pick"]]
         if pick is not None:
-            self._pay_evaluation(len(returns), data.get("evaluation_steps"))
+            self._pay_evaluation(returns, data.get("evaluation_steps"))
         if pick is not None and not pick.length:
             self._evaluated(pick, each)
             return
