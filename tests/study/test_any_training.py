@@ -10,10 +10,11 @@ import pytest
 import quick_problem
 
 import mbtl
-from flat import created, ran
+from flat import created, ran, told
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
+from mbtl.study.budget import counted
 from mbtl.study.create import EPISODES
 from mbtl.trainers import Progress, Trained, Trainer
 from scripted import Scripted
@@ -399,6 +400,36 @@ def test_whatever_is_left_at_the_end_a_study_ends(strategy):
         assert study.is_finished, total
         assert study.state.bill().total == sum(trainer.made.values())
         assert study.state.bill().total <= total + UNIT // 10  # a length is rounded up
+
+
+@pytest.mark.parametrize("takes", [Walker.takes, Walker.takes - {"start"}])
+def test_auto_trains_while_a_training_and_two_targets_can_be_paid(takes):
+    target = EPISODE * EPISODES  # so an evaluation on all contexts costs two units
+    for total in range(1_600, 9_000, 633):
+        study, trainer = in_steps(total, "auto"), Walker()
+        trainer.takes = takes
+        study.equip(trainer)
+        with pytest.raises(mbtl.StudyFinished):
+            told(study, lambda source: np.full((N, EPISODES), 0.1 * source), 20)
+        left = total - study.state.bill().total
+        assert 0.0 <= left < 2 * target + UNIT * ("start" not in takes), total
+        assert min(np.isfinite(row.returns).sum() for row in study.state.rows) >= 2
+
+
+def test_it_is_said_once_that_evaluations_eat_most_of_the_budget(capsys):
+    for targets, said in ((None, 1), (2, 0)):
+        study = in_steps(6_000, "random", eval_targets=targets)
+        for total in (6_000, 9_000):
+            if total > study.spec.steps:
+                study.extend(mbtl.Steps(total))
+            run(study, Walker(), progress=True)
+        words = "8 contexts may cost 2K steps, a training costs 1K: for more trainings, evaluate on"
+        assert capsys.readouterr().err.count(words) == said
+
+
+def test_steps_are_said_as_people_say_them():
+    said = [counted(steps) for steps in (999.4, 999_499, 999_600, 1_250_000)]
+    assert said == ["999", "999K", "1M", "1.25M"]
 
 
 def test_a_budget_in_steps_is_raised_in_steps_and_only_raised():

@@ -20,13 +20,11 @@ from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import StudyState
+from mbtl.study.state import LEAST_TARGETS, StudyState
 from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
-LEAST_TARGETS = 2
-"""On which a policy is still evaluated with the last steps."""
 LEAST_UNIT = 1e-6
 """Units that are no training any more."""
 

@@ -91,6 +91,6 @@ class Bill:
 def counted(steps: float) -> str:
     """Steps as people say them, e.g. "1.25M"."""
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "K")):
-        if steps >= size:
+        if steps >= 0.9995 * size:  # 999,600 is 1M
             return f"{steps / size:.3g}{letter}"
     return f"{steps:.0f}"

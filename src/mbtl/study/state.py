@@ -26,6 +26,8 @@ from mbtl.study.spec import StudySpec
 
 ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""
+LEAST_TARGETS = 2
+"""On which a policy is still evaluated with the last steps."""
 
 
 @dataclass(eq=False)
@@ -198,11 +200,22 @@ class StudyState:
 
     @property
     def units_left(self) -> float:
-        """Units that can still be paid; in environment steps with an evaluation on all targets."""
+        """Units that can still be paid.
+
+        In environment steps with an evaluation on all targets. Where these would eat more than half
+        of what is left, or a whole training, they may be as few as `LEAST_TARGETS`.
+        """
         if self.spec.steps is None:
             return self.spec.budget - self.paid
-        evaluation = self.target_steps * (self.spec.eval_targets or self.spec.space.n)
-        return (self.spec.steps - self.bill().total - evaluation) / self.unit_steps
+        left = self.spec.steps - self.bill().total
+        few = left - self.target_steps * min(LEAST_TARGETS, self.spec.space.n)
+        whole = self.unit_steps if few >= self.unit_steps else 0.0
+        return max(left - self.row_steps, few / 2.0, whole) / self.unit_steps
+
+    @property
+    def row_steps(self) -> float:
+        """Environment steps that an evaluation on all targets of a pick is expected to cost."""
+        return self.target_steps * (self.spec.eval_targets or self.spec.space.n)
 
     @property
     def unit_steps(self) -> float:
