@@ -12,6 +12,9 @@ import quick_problem
 import mbtl
 from flat import created, ran, told
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed
+from mbtl.report import summarise_study
+from mbtl.report.subject import of_study
+from mbtl.report.text import lines
 from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study.budget import counted
@@ -612,3 +615,23 @@ def test_a_cost_pays_for_lengths_and_for_the_mean_of_a_set():
     assert study.state.committed <= 11.0
     assert study.is_finished
     assert study.stop_reason.startswith("of the cost budget of 11 ")
+
+
+@pytest.mark.parametrize("strategy", ["auto", "one-policy"])
+@pytest.mark.parametrize("costs", [np.arange(1.0, N + 1.0), None])
+def test_the_cost_ends_a_study_not_the_usual_number_of_trainings(strategy, costs, capsys):
+    simulator = Simulator()
+    problem = mbtl.CMDP.from_functions(
+        "dear", SPACE, train=simulator.train, evaluate=simulator.evaluate, budget=3, bounds=(0, 1)
+    )
+    study = problem.study(budget=mbtl.Cost(31.5, costs), strategy=strategy)
+    study.run(report=False)
+    assert study.state.cost == pytest.approx(31.5)
+    assert "policies told, cost 31.5 of 31.5, " in repr(study)
+    first = study.state.rows[0].cost
+    assert f"pick 1, cost {first:g} of 31.5: all contexts" in capsys.readouterr().err
+    summary = summarise_study(study)
+    assert (summary.size, summary.cost) == ("cost 31.5", study.state.cost)
+    assert "Spent: cost 31.5 of 31.5." in lines(summary, SPACE)
+    assert of_study(study).provenance["budget"] == "cost 31.5"
+    assert problem.study(budget=mbtl.Cost(31.5), strategy="random").spec.budget == 3

@@ -276,10 +276,10 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
             f"a training is asked for once, got one that is done, under way or failed from "
             f"{name!r}: {proposal}; `history.asked` has them"
         )
-    if spec.steps is None and seen.paid + pick.price > spec.budget + LEAST_UNIT:
+    if spec.steps is None and state.paid + pick.price > spec.budget + LEAST_UNIT:
         raise InvalidInput(
             f"a training costs no more than is left of the budget of {spec.budget}, got "
-            f"{pick.price:g} units where {seen.paid:g} are spent, from {name!r}"
+            f"{pick.price:g} units where {state.paid:g} are spent, from {name!r}"
         )
 
 

@@ -47,7 +47,8 @@ class Cost:
         per_context: (N,) expected cost of a whole training on each context, or a function of the
             context; then nothing is asked for that costs more than what is left, and `auto` seeks
             the most gain per cost. None: costs are only known when they are told.
-        trainings: at most so many; None: the CMDP's, or one on each context.
+        trainings: at most so many units; None: as many as the cost pays for, of a selector the
+            CMDP's number, or one on each context.
 
     Raises:
         InvalidInput: `total` is not a number > 0, or `trainings` no whole number of 1 or more.

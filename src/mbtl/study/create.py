@@ -35,6 +35,8 @@ from mbtl.version import __version__
 
 EPISODES = 10
 """Of a policy on a target, as expected before the first where the trainer does not say."""
+NO_LIMIT = 10**6
+"""Units of a study that its cost ends."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def _spec(
         budget = max(1, budget.total // counted["unit"])
         budget = budget if any_training else min(budget, space.n)
     elif cost is not None:
-        budget = cost.trainings or facts.budget or space.n
+        budget = cost.trainings or (NO_LIMIT if any_training else facts.budget or space.n)
     if budget is None:
         raise InvalidInput("a study of a ContextSpace needs budget=<number of trainings>; got none")
     direction = direction_named(facts.direction if aim.direction is None else aim.direction)

@@ -13,6 +13,7 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
 from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
+from mbtl.study.budget import counted
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,13 @@ class StudySpec:
             abilities=abilities if self.any_training else None,
             assumed=assumed,
         )
+
+    @property
+    def size(self) -> str:
+        """The budget for people: "K = 15", "2M steps", "cost 60"."""
+        if self.cost_budget is not None:
+            return f"cost {self.cost_budget:g}"
+        return f"K = {self.budget}" if self.steps is None else f"{counted(self.steps)} steps"
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record; `from_json` rebuilds it."""

@@ -200,17 +200,26 @@ class StudyState:
 
     @property
     def units_left(self) -> float:
-        """Units that can still be paid.
+        """Units that can still be paid; where a cost is, of the mean cost.
 
         In environment steps with an evaluation on all targets. Where these would eat more than half
         of what is left, or a whole training, they may be as few as `LEAST_TARGETS`.
         """
-        if self.spec.steps is None:
-            return self.spec.budget - self.paid
-        left = self.spec.steps - self.bill().total
-        few = left - self.target_steps * min(LEAST_TARGETS, self.spec.space.n)
+        spec = self.spec
+        if spec.steps is None:
+            return min(spec.budget - self.paid, self._cost_units)
+        left = spec.steps - self.bill().total
+        few = left - self.target_steps * min(LEAST_TARGETS, spec.space.n)
         whole = self.unit_steps if few >= self.unit_steps else 0.0
         return max(left - self.row_steps, few / 2.0, whole) / self.unit_steps
+
+    @property
+    def _cost_units(self) -> float:
+        """Units that the rest of the cost pays for, at the mean cost that is known or was told."""
+        spec, asked = self.spec, (row for row in self.rows if row.pick is not None)
+        told = [row.cost / (row.length - row.done) for row in asked]
+        each = float(np.mean(spec.costs or told or 0.0))
+        return (spec.cost_budget - self.committed) / each if spec.cost_budget and each else np.inf
 
     @property
     def row_steps(self) -> float:
@@ -275,7 +284,7 @@ class StudyState:
 
     def numbered(self, pick: Pick, of: str = " of ") -> str:
         """Which it is: "pick 3 of 5", or "pick 3, 2.5 of 4 units" where they differ in price."""
-        if self.spec.steps is None and not self.spec.any_training:
+        if (self.spec.steps or self.spec.cost_budget) is None and not self.spec.any_training:
             return f"pick {pick.number + 1}{of}{self.spec.budget}"
         return f"pick {pick.number + 1}, {self.spent_words()}"
 
@@ -309,7 +318,9 @@ class StudyState:
         return np.cumsum([row.length - row.done for row in self.rows])
 
     def spent_words(self, *, answered: bool = False) -> str:
-        """How much of the budget is asked for, or done: "3 of 15 trainings", "2.5 of 4 units"."""
+        """How much of the budget is asked for, or done: "3 of 15 trainings", "cost 2.5 of 60"."""
+        if (budget := self.spec.cost_budget) is not None:
+            return f"cost {self.cost if answered else self.committed:g} of {budget:g}"
         if self.spec.steps is not None:
             bill = self.bill()
             spent = bill.total - (bill.under_way if answered else 0.0)
