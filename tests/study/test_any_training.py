@@ -469,10 +469,18 @@ def test_failures_are_paid_each_try_of_them():
     assert bill.training + bill.extension + bill.failed == trainer.made["train"]
 
 
-@pytest.mark.parametrize("whole", [{}, {"horizon": EPISODE}, {"unit": UNIT}])
-def test_functions_need_the_unit_and_the_longest_episode(whole):
-    with pytest.raises(InvalidInput, match=r"give Steps\(total, (unit|horizon)=<steps>\)"):
-        created(SPACE, budget=mbtl.Steps(5_000, **whole))
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [
+        ({}, "unit=<steps>, horizon=<steps>"),
+        ({"horizon": EPISODE}, "unit=<steps>"),
+        ({"unit": UNIT}, "horizon=<steps>"),
+    ],
+)
+def test_functions_need_the_unit_and_the_longest_episode(given, missing):
+    words = rf"give Steps\(5000, {missing}\) in Python, for `mbtl run --steps` goes by the problem"
+    with pytest.raises(InvalidInput, match=words):
+        created(SPACE, budget=mbtl.Steps(5_000, **given))
 
 
 def test_functions_are_paid_by_their_reports_or_by_units():

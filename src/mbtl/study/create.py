@@ -222,16 +222,16 @@ def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
     horizon = facts.horizon if budget.horizon is None else budget.horizon
     unit = budget.unit
     if unit is None and trainer is not None and trainer.whole is not None:
-        steps = 1 if trainer.counts == "steps" else horizon
-        unit = None if steps is None else trainer.whole * steps
-    for what, known in (("unit", unit), ("horizon", horizon)):
-        if known is None:
-            raise InvalidInput(
-                "to pay in environment steps it must be known how many a training and an episode "
-                f"have, and this problem does not say; give Steps(total, {what}=<steps>)"
-            )
-    assert unit is not None
-    assert horizon is not None
+        unit = trainer.whole * (1 if trainer.counts == "steps" else horizon or 1)
+    if unit is None or horizon is None:
+        known = {"unit": unit, "horizon": horizon}
+        missing = ", ".join(f"{name}=<steps>" for name, steps in known.items() if steps is None)
+        raise InvalidInput(
+            "to pay in environment steps it must be known how many a whole training (unit) and the "
+            f"longest episode (horizon) have; give Steps({budget.total}, {missing}) in Python, for "
+            "`mbtl run --steps` goes by the problem alone: by its horizon=<steps>, and by `whole` "
+            "of its trainer, which functions do not have"
+        )
     episodes = int(getattr(trainer, "eval_episodes", None) or EPISODES)
     each = {"horizon": horizon, "target_steps": horizon * episodes}
     return {"steps": budget.total, "unit": unit, **each}
