@@ -39,6 +39,16 @@ def test_a_training_that_is_begun_again_has_one_bar():
         assert len(live._bars.tasks) == 2  # the study's, too
 
 
+def test_the_bar_of_a_study_that_pays_a_cost_shows_the_cost():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+    study = mbtl.create_study(space, budget=mbtl.Cost(40.0, [7.0] * 5), strategy="specialists")
+    study.tell(study.ask(), [0.5] * 5)
+    with LiveProgress(study, Console(file=io.StringIO())) as live:
+        live.on_pick(study, pick := study.ask())
+        live.on_progress(study, pick, Progress(1, 2, {}))
+        assert (live._bars.tasks[0].completed, live._bars.tasks[0].total) == (7.0 + 3.5, 40.0)
+
+
 def test_a_document_is_alone_on_standard_output_whatever_simulators_print():
     code = (
         "import os, subprocess, sys\n"

@@ -177,6 +177,7 @@ def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
         (("run", "OWN", "--parallel", "0"), "parallel of Workers is 1 or more"),
         (("run", "OWN", "--engine", "sumo"), "engine"),
         (("run", "OWN", "--steps", "9M", "--budget", "3"), "got both; leave one out"),
+        (("run", "OWN", "--steps", "9M"), "Steps(9000000, unit=<steps>, horizon=<steps>) in Pyt"),
         (("run", "nowhere:problem"), "no module is called 'nowhere'"),
         (("run", "own.py:problm"), "Did you mean 'problem'"),
         (("study", "export", "x", "rows.txt"), "ends in .json or .csv"),

@@ -2,6 +2,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import mbtl
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.problems import CMDP, Preset
@@ -49,6 +50,13 @@ def test_a_small_problem_gets_the_single_preset_default_and_a_budget_that_fits()
         cmdp.trainer_for("quick")
     with pytest.raises(InvalidInput, match=r"own code, which takes no options, got timesteps"):
         cmdp.trainer_for(timesteps=10)
+
+
+@pytest.mark.parametrize("budget", [mbtl.Steps(10, unit=5), mbtl.Cost(9.0), 2.5, "15"])
+def test_steps_and_costs_are_budgets_of_a_study_not_of_a_problem(budget):
+    words = r"usual number of trainings, got .*the study: problem\.study\(budget=mbtl\.Steps"
+    with pytest.raises(InvalidInput, match=words):
+        own(budget=budget)
 
 
 def test_an_environment_and_an_algorithm_are_a_problem():

@@ -119,7 +119,7 @@ def test_whoever_trains_by_hand_is_asked_for_one_context_until_a_trainer_is_know
     study.equip(trainer)
     first = study.ask()
     assert first.sources == tuple(range(SPACE.n))
-    with pytest.raises(StudyWaiting, match="until one of the 1 picks .*: what is best next"):
+    with pytest.raises(StudyWaiting, match=r"until one of the 1 picks .*: what is best next"):
         study.ask()
     assert not study.is_finished
     study.tell(first, np.full(N, 0.3))

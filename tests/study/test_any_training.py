@@ -10,10 +10,14 @@ import pytest
 import quick_problem
 
 import mbtl
-from flat import created, ran
+from flat import created, ran, told
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed
+from mbtl.report import summarise_study
+from mbtl.report.subject import of_study
+from mbtl.report.text import lines
 from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
+from mbtl.study.budget import counted
 from mbtl.study.create import EPISODES
 from mbtl.trainers import Progress, Trained, Trainer
 from scripted import Scripted
@@ -401,6 +405,36 @@ def test_whatever_is_left_at_the_end_a_study_ends(strategy):
         assert study.state.bill().total <= total + UNIT // 10  # a length is rounded up
 
 
+@pytest.mark.parametrize("takes", [Walker.takes, Walker.takes - {"start"}])
+def test_auto_trains_while_a_training_and_two_targets_can_be_paid(takes):
+    target = EPISODE * EPISODES  # so an evaluation on all contexts costs two units
+    for total in range(1_600, 9_000, 633):
+        study, trainer = in_steps(total, "auto"), Walker()
+        trainer.takes = takes
+        study.equip(trainer)
+        with pytest.raises(mbtl.StudyFinished):
+            told(study, lambda source: np.full((N, EPISODES), 0.1 * source), 20)
+        left = total - study.state.bill().total
+        assert 0.0 <= left < 2 * target + UNIT * ("start" not in takes), total
+        assert min(np.isfinite(row.returns).sum() for row in study.state.rows) >= 2
+
+
+def test_it_is_said_once_that_evaluations_eat_most_of_the_budget(capsys):
+    for targets, said in ((None, 1), (2, 0)):
+        study = in_steps(6_000, "random", eval_targets=targets)
+        for total in (6_000, 9_000):
+            if total > study.spec.steps:
+                study.extend(mbtl.Steps(total))
+            run(study, Walker(), progress=True)
+        words = "8 contexts may cost 2K steps, a training costs 1K: for more trainings, evaluate on"
+        assert capsys.readouterr().err.count(words) == said
+
+
+def test_steps_are_said_as_people_say_them():
+    said = [counted(steps) for steps in (999.4, 999_499, 999_600, 1_250_000)]
+    assert said == ["999", "999K", "1M", "1.25M"]
+
+
 def test_a_budget_in_steps_is_raised_in_steps_and_only_raised():
     study = in_steps(5_000, "random")
     for wrong in (mbtl.Steps(5_000), 9, mbtl.Steps(10)):
@@ -435,10 +469,18 @@ def test_failures_are_paid_each_try_of_them():
     assert bill.training + bill.extension + bill.failed == trainer.made["train"]
 
 
-@pytest.mark.parametrize("whole", [{}, {"horizon": EPISODE}, {"unit": UNIT}])
-def test_functions_need_the_unit_and_the_longest_episode(whole):
-    with pytest.raises(InvalidInput, match=r"give Steps\(total, (unit|horizon)=<steps>\)"):
-        created(SPACE, budget=mbtl.Steps(5_000, **whole))
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [
+        ({}, "unit=<steps>, horizon=<steps>"),
+        ({"horizon": EPISODE}, "unit=<steps>"),
+        ({"unit": UNIT}, "horizon=<steps>"),
+    ],
+)
+def test_functions_need_the_unit_and_the_longest_episode(given, missing):
+    words = rf"give Steps\(5000, {missing}\) in Python, for `mbtl run --steps` goes by the problem"
+    with pytest.raises(InvalidInput, match=words):
+        created(SPACE, budget=mbtl.Steps(5_000, **given))
 
 
 def test_functions_are_paid_by_their_reports_or_by_units():
@@ -457,8 +499,21 @@ def test_functions_are_paid_by_their_reports_or_by_units():
     assert bill.extension == pytest.approx(360 * len(longer))
     alone = [row for row in study.state.rows if len(row.sources) == 1]
     assert bill.training == pytest.approx(450 + 300 * len(alone))  # nothing was reported: 0.3 units
-    assert bill.evaluation == len(study.state.rows) * N * EPISODE * EPISODES  # at most
+    assert bill.evaluation == len(study.state.rows) * N * 2 * EPISODE  # each the longest
     assert study.stop_reason == "every context had its turn"
+
+
+def test_an_evaluation_costs_the_episodes_that_it_returned():
+    study, row = in_steps(60_000, "random"), np.full((N, 20), 0.5)
+    assert study.state.target_steps == EPISODES * EPISODE  # nobody knows so far
+    row[0, 3:] = np.nan  # seventeen broke off
+    for returns, episodes in ((row[:, :3], 3 * N), (row[:, 0], N), (row, 20 * N - 17)):
+        before = study.state.bill()
+        study.tell(study.ask(), returns)
+        bill = study.state.bill()
+        assert bill.evaluation - before.evaluation == episodes * EPISODE
+        assert bill.training - before.training == UNIT
+    assert study.state.target_steps == bill.evaluation / (3 * N)
 
 
 def test_further_evaluations_are_paid_once_and_change_no_price():
@@ -568,3 +623,23 @@ def test_a_cost_pays_for_lengths_and_for_the_mean_of_a_set():
     assert study.state.committed <= 11.0
     assert study.is_finished
     assert study.stop_reason.startswith("of the cost budget of 11 ")
+
+
+@pytest.mark.parametrize("strategy", ["auto", "one-policy"])
+@pytest.mark.parametrize("costs", [np.arange(1.0, N + 1.0), None])
+def test_the_cost_ends_a_study_not_the_usual_number_of_trainings(strategy, costs, capsys):
+    simulator = Simulator()
+    problem = mbtl.CMDP.from_functions(
+        "dear", SPACE, train=simulator.train, evaluate=simulator.evaluate, budget=3, bounds=(0, 1)
+    )
+    study = problem.study(budget=mbtl.Cost(31.5, costs), strategy=strategy)
+    study.run(report=False)
+    assert study.state.cost == pytest.approx(31.5)
+    assert "policies told, cost 31.5 of 31.5, " in repr(study)
+    first = study.state.rows[0].cost
+    assert f"pick 1, cost {first:g} of 31.5: all contexts" in capsys.readouterr().err
+    summary = summarise_study(study)
+    assert (summary.size, summary.cost) == ("cost 31.5", study.state.cost)
+    assert "Spent: cost 31.5 of 31.5." in lines(summary, SPACE)
+    assert of_study(study).provenance["budget"] == "cost 31.5"
+    assert problem.study(budget=mbtl.Cost(31.5), strategy="random").spec.budget == 3

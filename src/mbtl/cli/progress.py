@@ -33,7 +33,7 @@ class LiveProgress(PrintProgress):
             speed_estimate_period=math.inf,
         )
         self._study_bar = self._bars.add_task(
-            "study", total=study.spec.steps or study.spec.budget, note=""
+            "study", total=study.spec.cost_budget or study.spec.steps or study.spec.budget, note=""
         )
         self._bars.update(self._study_bar, completed=_spent(study))
         self._pick_bars: dict[int, TaskID] = {}
@@ -108,11 +108,15 @@ def _price(study: Study, number: int) -> float:
     """What a pick is expected to cost, in what the budget counts."""
     state = study.state
     pick = state.picks[number]
+    if study.spec.cost_budget is not None:
+        return state.usual_cost(pick)
     return pick.price if study.spec.steps is None else state.expected_steps(pick)
 
 
 def _spent(study: Study) -> float:
     """How much of the budget is spent on what is done or failed."""
     state = study.state
+    if study.spec.cost_budget is not None:
+        return state.cost
     whole = state.paid if study.spec.steps is None else state.bill().total
     return whole - sum(_price(study, number) for number in state.open_picks)

@@ -25,7 +25,6 @@ from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
 from mbtl.study import Evaluation, Failures, Steps, Stopping, Study, Workers, ask, create_study
-from mbtl.study.budget import counted
 from mbtl.study.study import run as run_study
 from mbtl.trainers.contract import Trainer
 
@@ -53,7 +52,9 @@ def run(
     steps: Annotated[
         str | None, option(None, "Pay in environment steps, all in: 20M.", metavar="NUMBER")
     ] = None,
-    strategy: Annotated[str, option(None, "auto, mbtl (the paper's), specialists, one-policy, my.py:Mine, ...")] = "auto",
+    strategy: Annotated[
+        str, option(None, "auto, mbtl (the paper's), specialists, one-policy, my.py:Mine, ...")
+    ] = "auto",
     seed: Annotated[int, option(None, "Root of all randomness.")] = 0,
     study: Annotated[
         Path | None, option(None, "Folder; default: runs/<cmdp>-<preset>-seed<seed>.")
@@ -199,13 +200,12 @@ def steps_of(text: str) -> int:
 
 def _announce(study: Study, folder: Path) -> None:
     spec = study.spec
-    budget = f"K = {spec.budget}" if spec.steps is None else f"{counted(spec.steps)} steps"
     going_on = (
         f", going on after {study.state.spent_words(answered=True)}"
         if study.state.rows and not study.is_finished
         else ""
     )
-    console.say(f"{spec.problem}: {study.space!r}, {budget}, study in {folder}{going_on}")
+    console.say(f"{spec.problem}: {study.space!r}, {spec.size}, study in {folder}{going_on}")
 
 
 def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:

@@ -18,7 +18,7 @@ from typing import Any, Literal, cast
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 from mbtl.objective import Bounds, Direction, direction_named
-from mbtl.plain import whole
+from mbtl.plain import short, whole
 from mbtl.score import Score
 from mbtl.study import Study, create_study
 from mbtl.study.problem import Beside, ProblemFacts
@@ -191,6 +191,12 @@ class CMDP:
         if not self.presets:
             object.__setattr__(self, "presets", _only_preset(self.space))
         for name, preset in self.presets.items():
+            if not hasattr(preset.budget, "__index__"):
+                raise InvalidInput(
+                    "the budget of a problem is its usual number of trainings, got "
+                    f"{short(preset.budget)}; a budget of another kind belongs to the study: "
+                    "problem.study(budget=mbtl.Steps(...))"
+                )
             if not 1 <= preset.budget <= self.space.n:
                 raise InvalidInput(
                     f"the budget of a preset is from 1 to the number of contexts ({self.space.n}), "

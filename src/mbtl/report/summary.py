@@ -39,6 +39,8 @@ class StudySummary:
         steps: environment steps that the study may spend; None: they are not counted.
         bill: environment steps spent, by what on, and expected of what is under way (`Bill`); None
             likewise.
+        cost: what the trainings cost so far, where a cost is the budget; None: it is not.
+        size: of the budget, in words.
         spent: how much of the budget is asked for, in words.
         n_contexts: N.
         finished: why nothing more is asked; None while something is.
@@ -82,6 +84,8 @@ class StudySummary:
     units: float
     steps: int | None
     bill: Mapping[str, float] | None
+    cost: float | None
+    size: str
     spent: str
     n_contexts: int
     finished: str | None
@@ -200,6 +204,8 @@ def summarise_study(study: Study) -> StudySummary:
         "units": state.paid,
         "steps": study.spec.steps,
         "bill": None if study.spec.steps is None else asdict(state.bill()),
+        "cost": None if study.spec.cost_budget is None else state.cost,
+        "size": study.spec.size,
         "spent": state.spent_words(),
         "n_contexts": space.n,
         "finished": study.stop_reason if study.is_finished else None,

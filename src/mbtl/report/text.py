@@ -25,8 +25,7 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
 
 def table(summary: StudySummary, space: ContextSpace) -> Table:
     """The picks, a row each; with the numbers of their policies, where those are others."""
-    budget = f"K = {summary.budget}" if summary.steps is None else f"{counted(summary.steps)} steps"
-    size = f"{budget}, N = {summary.n_contexts}"
+    size = f"{summary.size}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.strategy}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
     # sentences speak of policies, which are counted in the order in which they were told
@@ -146,7 +145,7 @@ def _values(summary: StudySummary) -> dict[str, float]:
 
 def paid(summary: StudySummary) -> list[str]:
     """What was spent, and why it ended."""
-    out = []
+    out, picks = [], summary.picks
     if summary.bill is not None and summary.steps is not None:
         parts = {
             "trainings": summary.bill["training"],
@@ -157,7 +156,7 @@ def paid(summary: StudySummary) -> list[str]:
         }
         said = ", ".join(f"{counted(steps)} on {what}" for what, steps in parts.items() if steps)
         out.append(f"Spent: {summary.spent}{f': {said}' if said else ''}.")
-    elif summary.units != len([pick for pick in summary.picks if pick.number is not None]):
+    elif summary.cost is not None or summary.units != sum(p.number is not None for p in picks):
         out.append(f"Spent: {summary.spent}.")
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")

@@ -20,13 +20,11 @@ from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished, StudyWaiting
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import StudyState
+from mbtl.study.state import LEAST_TARGETS, StudyState
 from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
-LEAST_TARGETS = 2
-"""On which a policy is still evaluated with the last steps."""
 LEAST_UNIT = 1e-6
 """Units that are no training any more."""
 
@@ -287,10 +285,10 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
             f"a training is asked for once, got one that is done, under way or failed from "
             f"{name!r}: {proposal}; `history.asked` has them"
         )
-    if spec.steps is None and seen.paid + pick.price > spec.budget + LEAST_UNIT:
+    if spec.steps is None and state.paid + pick.price > spec.budget + LEAST_UNIT:
         raise InvalidInput(
             f"a training costs no more than is left of the budget of {spec.budget}, got "
-            f"{pick.price:g} units where {seen.paid:g} are spent, from {name!r}"
+            f"{pick.price:g} units where {state.paid:g} are spent, from {name!r}"
         )
 
 

@@ -126,7 +126,7 @@ class AskTell:
 
     def __repr__(self) -> str:
         told, state, spec = len(self._state.rows), self._state, self.spec
-        usual = spec.steps is None and not spec.any_training
+        usual = (spec.steps or spec.cost_budget) is None and not spec.any_training
         how = f"{told} of {spec.budget} trainings told" if usual else (
             f"{told} policies told, {state.spent_words()}"
         )  # fmt: skip

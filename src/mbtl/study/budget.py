@@ -20,7 +20,8 @@ class Steps:
         total: steps that the study may spend.
         unit: of one whole training; None: as the trainer says.
         horizon: of the longest episode; None: the CMDP's. What an evaluation cost is known where
-            the trainer counts; else each episode counts as the longest.
+            the trainer counts; else each episode that it returned counts as the longest. Before the
+            first, the trainer's `eval_episodes` are expected on a target, or 10.
 
     Raises:
         InvalidInput: one is not a whole number of 1 or more.
@@ -46,7 +47,8 @@ class Cost:
         per_context: (N,) expected cost of a whole training on each context, or a function of the
             context; then nothing is asked for that costs more than what is left, and `auto` seeks
             the most gain per cost. None: costs are only known when they are told.
-        trainings: at most so many; None: the CMDP's, or one on each context.
+        trainings: at most so many units; None: as many as the cost pays for, of a selector the
+            CMDP's number, or one on each context.
 
     Raises:
         InvalidInput: `total` is not a number > 0, or `trainings` no whole number of 1 or more.
@@ -90,6 +92,6 @@ class Bill:
 def counted(steps: float) -> str:
     """Steps as people say them, e.g. "1.25M"."""
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "K")):
-        if steps >= size:
+        if steps >= 0.9995 * size:  # 999,600 is 1M
             return f"{steps / size:.3g}{letter}"
     return f"{steps:.0f}"

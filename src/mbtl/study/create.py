@@ -34,7 +34,9 @@ from mbtl.trainers.contract import Trainer
 from mbtl.version import __version__
 
 EPISODES = 10
-"""Of a policy on a target, where a trainer does not say how many it plays."""
+"""Of a policy on a target, as expected before the first where the trainer does not say."""
+NO_LIMIT = 10**6
+"""Units of a study that its cost ends."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def _spec(
         budget = max(1, budget.total // counted["unit"])
         budget = budget if any_training else min(budget, space.n)
     elif cost is not None:
-        budget = cost.trainings or facts.budget or space.n
+        budget = cost.trainings or (NO_LIMIT if any_training else facts.budget or space.n)
     if budget is None:
         raise InvalidInput("a study of a ContextSpace needs budget=<number of trainings>; got none")
     direction = direction_named(facts.direction if aim.direction is None else aim.direction)
@@ -215,23 +217,24 @@ def _spec(
 
 
 def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
-    """Environment steps of the budget, of a unit and of an evaluation on one target, at most."""
+    """Environment steps of the budget, a unit, an episode, and an evaluation on one target."""
     trainer = facts.trainer
     horizon = facts.horizon if budget.horizon is None else budget.horizon
     unit = budget.unit
     if unit is None and trainer is not None and trainer.whole is not None:
-        steps = 1 if trainer.counts == "steps" else horizon
-        unit = None if steps is None else trainer.whole * steps
-    for what, known in (("unit", unit), ("horizon", horizon)):
-        if known is None:
-            raise InvalidInput(
-                "to pay in environment steps it must be known how many a training and an episode "
-                f"have, and this problem does not say; give Steps(total, {what}=<steps>)"
-            )
-    assert unit is not None
-    assert horizon is not None
+        unit = trainer.whole * (1 if trainer.counts == "steps" else horizon or 1)
+    if unit is None or horizon is None:
+        known = {"unit": unit, "horizon": horizon}
+        missing = ", ".join(f"{name}=<steps>" for name, steps in known.items() if steps is None)
+        raise InvalidInput(
+            "to pay in environment steps it must be known how many a whole training (unit) and the "
+            f"longest episode (horizon) have; give Steps({budget.total}, {missing}) in Python, for "
+            "`mbtl run --steps` goes by the problem alone: by its horizon=<steps>, and by `whole` "
+            "of its trainer, which functions do not have"
+        )
     episodes = int(getattr(trainer, "eval_episodes", None) or EPISODES)
-    return {"steps": budget.total, "unit": unit, "target_steps": horizon * episodes}
+    each = {"horizon": horizon, "target_steps": horizon * episodes}
+    return {"steps": budget.total, "unit": unit, **each}
 
 
 def load_study(

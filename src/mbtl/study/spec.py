@@ -13,6 +13,7 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
 from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
+from mbtl.study.budget import counted
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ class StudySpec:
         any_training: the selector is a strategy that asks for trainings of every kind.
         steps: environment steps, all in, that the study may spend; None: they are not counted.
         unit: of a whole training; None: they are not counted.
-        target_steps: of an evaluation on one target, at most; None likewise.
+        target_steps: of an evaluation on one target, before there was any; None likewise.
+        horizon: of the longest episode; None likewise.
     """
 
     space: ContextSpace
@@ -69,6 +71,7 @@ class StudySpec:
     steps: int | None = None
     unit: int | None = None
     target_steps: int | None = None
+    horizon: int | None = None
 
     def selection_problem(
         self, abilities: frozenset[str] = frozenset(), *, assumed: bool = False
@@ -91,6 +94,13 @@ class StudySpec:
             assumed=assumed,
         )
 
+    @property
+    def size(self) -> str:
+        """The budget for people: "K = 15", "2M steps", "cost 60"."""
+        if self.cost_budget is not None:
+            return f"cost {self.cost_budget:g}"
+        return f"K = {self.budget}" if self.steps is None else f"{counted(self.steps)} steps"
+
     def to_json(self) -> dict[str, Any]:
         """JSON-able record; `from_json` rebuilds it."""
         record = {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -111,6 +121,8 @@ class StudySpec:
         values["space"] = ContextSpace.from_json(record["space"])
         for name in ("bounds", "costs"):
             values[name] = tuple(record[name]) if record.get(name) else None
+        if record.get("target_steps") and not record.get("horizon"):  # of 0.3, where ten was meant
+            values["horizon"] = max(1, record["target_steps"] // 10)
         spec = cls(**values)
         check_spec(spec)
         return spec
@@ -127,8 +139,8 @@ def check_spec(spec: StudySpec) -> None:
             raise InvalidInput(f"`{name}` of a study cannot be {short(getattr(spec, name))}")
     Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
     spec.selection_problem()
-    if spec.steps is not None and None in (spec.unit, spec.target_steps):
-        raise InvalidInput("a study that counts steps must know those of a unit and of a target")
+    if spec.steps is not None and None in (spec.unit, spec.target_steps, spec.horizon):
+        raise InvalidInput("a study that counts steps must know those of a unit and of an episode")
     if spec.eval_targets is not None and not 1 <= spec.eval_targets <= spec.space.n:
         raise InvalidInput(
             f"policies are evaluated on 1 to {spec.space.n} targets, got {spec.eval_targets}"
@@ -207,5 +219,5 @@ _SPEC: dict[str, Rule] = {
     **dict.fromkeys(("theta", "stop_value", "stop_left"), or_null(is_number)),
     **dict.fromkeys(("cost_budget", "best_return", "floor"), or_null(is_number)),
     "eval_targets": or_null(is_whole),
-    **dict.fromkeys(("steps", "unit", "target_steps"), or_null(is_count)),
+    **dict.fromkeys(("steps", "unit", "target_steps", "horizon"), or_null(is_count)),
 }

@@ -26,6 +26,8 @@ from mbtl.study.spec import StudySpec
 
 ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""
+LEAST_TARGETS = 2
+"""On which a policy is still evaluated with the last steps."""
 
 
 @dataclass(eq=False)
@@ -56,8 +58,8 @@ class StudyState:
     """Environment steps of trainings that gave nothing, each try of them."""
     evaluation_steps: float = 0.0
     """Environment steps of all evaluations that were asked for."""
-    _counted: tuple[float, int] = field(default=(0.0, 0), repr=False)
-    """Environment steps of the evaluations whose steps are known, and on how many targets."""
+    evaluated_targets: int = 0
+    """On how many targets those were, each time."""
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
     _performance: Array | None = field(default=None, repr=False)
@@ -198,11 +200,31 @@ class StudyState:
 
     @property
     def units_left(self) -> float:
-        """Units that can still be paid; in environment steps with an evaluation on all targets."""
-        if self.spec.steps is None:
-            return self.spec.budget - self.paid
-        evaluation = self.target_steps * (self.spec.eval_targets or self.spec.space.n)
-        return (self.spec.steps - self.bill().total - evaluation) / self.unit_steps
+        """Units that can still be paid; where a cost is, of the mean cost.
+
+        In environment steps with an evaluation on all targets. Where these would eat more than half
+        of what is left, or a whole training, they may be as few as `LEAST_TARGETS`.
+        """
+        spec = self.spec
+        if spec.steps is None:
+            return min(spec.budget - self.paid, self._cost_units)
+        left = spec.steps - self.bill().total
+        few = left - self.target_steps * min(LEAST_TARGETS, spec.space.n)
+        whole = self.unit_steps if few >= self.unit_steps else 0.0
+        return max(left - self.row_steps, few / 2.0, whole) / self.unit_steps
+
+    @property
+    def _cost_units(self) -> float:
+        """Units that the rest of the cost pays for, at the mean cost that is known or was told."""
+        spec, asked = self.spec, (row for row in self.rows if row.pick is not None)
+        told = [row.cost / (row.length - row.done) for row in asked]
+        each = float(np.mean(spec.costs or told or 0.0))
+        return (spec.cost_budget - self.committed) / each if spec.cost_budget and each else np.inf
+
+    @property
+    def row_steps(self) -> float:
+        """Environment steps that an evaluation on all targets of a pick is expected to cost."""
+        return self.target_steps * (self.spec.eval_targets or self.spec.space.n)
 
     @property
     def unit_steps(self) -> float:
@@ -213,10 +235,11 @@ class StudyState:
     def target_steps(self) -> float:
         """Environment steps that an evaluation on one target is expected to cost: the mean so far.
 
-        At first as many as it can be.
+        Before the first, what the study was made with.
         """
-        steps, targets = self._counted
-        return steps / targets if targets else float(self.spec.target_steps or 0)
+        if self.evaluated_targets:
+            return self.evaluation_steps / self.evaluated_targets
+        return float(self.spec.target_steps or 0)
 
     @property
     def abilities(self) -> frozenset[str]:
@@ -244,12 +267,11 @@ class StudyState:
             return self.unit_steps * pick.price
         return max(steps - had, 0.0)
 
-    def _pay_evaluation(self, targets: int, steps: float | None) -> None:
-        """At most, where its environment steps are not known."""
-        if steps is not None:
-            self._counted = self._counted[0] + steps, self._counted[1] + targets
-        most = float(targets * (self.spec.target_steps or 0))
+    def _pay_evaluation(self, returns: Array, steps: float | None) -> None:
+        """Each episode counts as the longest where its environment steps are not known."""
+        most = float(np.isfinite(returns).sum() * (self.spec.horizon or 0))
         self.evaluation_steps += most if steps is None else steps
+        self.evaluated_targets += len(returns)
 
     def expected_steps(self, pick: PickRecord) -> float:
         """Environment steps that a pick is expected to cost, all in."""
@@ -262,7 +284,7 @@ class StudyState:
 
     def numbered(self, pick: Pick, of: str = " of ") -> str:
         """Which it is: "pick 3 of 5", or "pick 3, 2.5 of 4 units" where they differ in price."""
-        if self.spec.steps is None and not self.spec.any_training:
+        if (self.spec.steps or self.spec.cost_budget) is None and not self.spec.any_training:
             return f"pick {pick.number + 1}{of}{self.spec.budget}"
         return f"pick {pick.number + 1}, {self.spent_words()}"
 
@@ -296,7 +318,9 @@ class StudyState:
         return np.cumsum([row.length - row.done for row in self.rows])
 
     def spent_words(self, *, answered: bool = False) -> str:
-        """How much of the budget is asked for, or done: "3 of 15 trainings", "2.5 of 4 units"."""
+        """How much of the budget is asked for, or done: "3 of 15 trainings", "cost 2.5 of 60"."""
+        if (budget := self.spec.cost_budget) is not None:
+            return f"cost {self.cost if answered else self.committed:g} of {budget:g}"
         if self.spec.steps is not None:
             bill = self.bill()
             spent = bill.total - (bill.under_way if answered else 0.0)
@@ -406,7 +430,7 @@ class StudyState:
         each[targets] = returns
         pick = None if data["pick"] is None else self.picks[data["pick"]]
         if pick is not None:
-            self._pay_evaluation(len(returns), data.get("evaluation_steps"))
+            self._pay_evaluation(returns, data.get("evaluation_steps"))
         if pick is not None and not pick.length:
             self._evaluated(pick, each)
             return

@@ -41,6 +41,7 @@ from mbtl.selectors import spread_targets
 from mbtl.study import ask
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure
+from mbtl.study.budget import counted
 from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
@@ -447,6 +448,7 @@ def run(
             _warn_of_unsaved(study, trainer)
             _check_baselines(study, trainer)
             _announce_others(study, announce)
+            _announce_dear_rows(study, announce)
             again = failures.retry_failed
             if study.state.equipment is not None or again or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
@@ -633,6 +635,20 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
         works = "works" if len(others) == 1 else "work"
         words = f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
         announce("on_note", words)
+
+
+def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:
+    """Before the first pick, where most of the budget would go to evaluations."""
+    state = study.state
+    if state.spec.steps is None or state.picks or state.row_steps <= state.unit_steps:
+        return
+    on, row = state.spec.eval_targets or study.space.n, counted(state.row_steps)
+    announce(
+        "on_note",
+        f"a policy's evaluation on {on} contexts may cost {row} steps, a training costs "
+        f"{counted(state.unit_steps)}: for more trainings, evaluate on fewer contexts, with "
+        "evaluation=mbtl.Evaluation(n) (--eval-targets n)",
+    )
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:

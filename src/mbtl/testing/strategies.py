@@ -1,4 +1,4 @@
-"""What every strategy over trainings owes: subclass `StrategyContract`, give a `strategy` fixture."""
+"""What every strategy owes: subclass `StrategyContract` and give a `strategy` fixture."""
 
 from __future__ import annotations
 

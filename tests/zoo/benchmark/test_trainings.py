@@ -8,12 +8,7 @@ from mbtl.errors import InvalidInput, MbtlError
 from mbtl.history import Training
 from mbtl.selectors import Proposal, get_selector
 from mbtl.zoo.benchmark.replay import replay
-from mbtl.zoo.benchmark.trainings import (
-    ABILITIES,
-    TransferWorld,
-    replay_trainings,
-    specialists_of,
-)
+from mbtl.zoo.benchmark.trainings import ABILITIES, TransferWorld, replay_trainings, specialists_of
 from scripted import Scripted
 
 DATA = transfer_worlds.tuning_pays()
@@ -103,9 +98,13 @@ def test_what_no_study_would_take_is_refused_in_a_replay_too(proposal, words):
 )
 def test_a_replay_that_cannot_be_is_refused(how, words):
     how = {"seed": 0, "abilities": ABILITIES, "budget": 2, "strategy": "auto", **how}
-    with pytest.raises(MbtlError, match=words):
+
+    def replayed():
         world = TransferWorld(DATA, how["seed"], abilities=how["abilities"])
-        replay_trainings(how["strategy"], world, how["budget"])
+        return replay_trainings(how["strategy"], world, how["budget"])
+
+    with pytest.raises(MbtlError, match=words):
+        replayed()
 
 
 @pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "specialists"])
