@@ -121,8 +121,6 @@ class StudySpec:
         values["space"] = ContextSpace.from_json(record["space"])
         for name in ("bounds", "costs"):
             values[name] = tuple(record[name]) if record.get(name) else None
-        if record.get("target_steps") and not record.get("horizon"):  # of 0.3, where ten was meant
-            values["horizon"] = max(1, record["target_steps"] // 10)
         spec = cls(**values)
         check_spec(spec)
         return spec

@@ -106,7 +106,7 @@ def _train(
 ) -> dict[str, Array]:
     """A policy is its row on a fine grid: better where it was trained, by less each time."""
     x = np.linspace(0.0, 1.0, 45)
-    near = np.min([np.abs(x - context["x"]) for context in contexts], axis=0)
+    near = np.min([np.abs(x - float(context["x"])) for context in contexts], axis=0)
     row = np.zeros_like(x) if start is None else start["row"]
     gain = (1.0 if length is None else length) / (1.0 + 0.2 * len(contexts))
     return {"x": x, "row": row + (1.0 - row) * (1.0 - np.exp(-gain)) * np.exp(-3.0 * near)}
