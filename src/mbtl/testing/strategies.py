@@ -86,8 +86,8 @@ class StrategyContract:
         **how: Any,
     ) -> Study:
         def evaluate(policy: dict[str, Array], contexts: Sequence[Context]) -> Array:
-            x = np.array([context["x"] for context in contexts])
-            return factor * np.interp(x, policy["x"], policy["row"])
+            x = [float(context["x"]) for context in contexts]
+            return np.asarray(factor * np.interp(x, policy["x"], policy["row"]))
 
         space = ContextSpace.grid({Linear("x", 0.0, 1.0): self.n})
         study = create_study(space, budget=self.budget, strategy=strategy, **how)
