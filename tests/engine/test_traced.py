@@ -1,7 +1,7 @@
 """Simulators in jax of others: their fields as axes, their episodes as ours."""
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -147,6 +147,13 @@ def test_fields_are_set_by_path_index_and_number():
     assert tree["mass"].tolist() == [[1.0] * 3] * 2
 
 
+def test_a_world_of_one_agent_can_be_looked_into_without_an_environment():
+    alone = replace(boat(), make_env=None)
+    report = check_cmdp(alone, steps=20)
+    report.raise_if_failed()
+    assert any(check.name == "axis 'drag' acts on the dynamics" for check in report.checks)
+
+
 def test_whole_numbers_reach_the_simulator_as_such():
     kinds = []
 
@@ -168,6 +175,10 @@ class Counting(Boat):
         return self.seen(jnp.zeros(2), jnp.zeros(2)), {"place": jnp.zeros(2), "speed": 0}
 
 
+class Endless(Boat):
+    horizon = None
+
+
 @pytest.mark.parametrize(
     ("simulator", "params", "axis", "error", "said"),
     [
@@ -176,8 +187,15 @@ class Counting(Boat):
         (Boat(), Sail(), mbtl.Linear("wind[2]", 0, 1), InvalidInput, r"shape \(2,\), got 0.0"),
         (Boat(), Sail(), mbtl.Linear("wind[x]", 0, 1), InvalidInput, r"'wind\[x\]'"),
         (Boat(), Sail(), mbtl.Linear("crew", 0, 1), InvalidInput, "use mbtl.Integer"),
-        (Boat(), Sail(), mbtl.Categorical("drag", ("a", "b")), InvalidInput, "takes a number"),
-        (Branching(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "jax can compute with"),
+        (
+            Boat(),
+            Sail(),
+            mbtl.Categorical("drag", ("a", "b")),
+            InvalidInput,
+            "an axis in jax is of nu",
+        ),
+        (Branching(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, r"test_traced.py:\d+: Att"),
+        (Endless(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "whole number, got None"),
         (Counting(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "keep their shapes"),
         (object(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "reset, step, action, hor"),
         (Boat(), None, mbtl.Linear("drag", 0, 1), UnknownName, "'drag'"),

@@ -89,6 +89,12 @@ def test_the_command_tunes_says_and_adds(toy, mbtl_command):
     assert len(load_portfolio("s/portfolio", trust=True)) == 3
     again = mbtl_command.done("adapt", "s/portfolio", *target)
     assert "Nothing was kept, and s/portfolio is as it was." in again
+    study = ("--study", "s", "--strategy", "equidistant", "--budget", "2", "--all")
+    code, _, told = mbtl_command("run", "toy.py:problem", *study)
+    assert code == 0, told
+    assert "set aside: s/portfolio is now s/portfolio.1" in told
+    assert len(load_portfolio("s/portfolio.1", trust=True)) == 3
+    assert len(load_portfolio("s/portfolio", trust=True)) == 2
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,18 @@ class RandomReset(Sound):
         return super().reset(seed=None)
 
 
+class Frozen(Sound):
+    """What is drawn was drawn once for all."""
+
+    def reset(self, *, seed=None, options=None):
+        return super().reset(seed=0)
+
+
+class DeadAxisAndRandomReset(DeadAxis):
+    def reset(self, *, seed=None, options=None):
+        return super().reset(seed=None)
+
+
 class ForgetsToReset(Sound):
     """The clock of the first episode goes on."""
 
@@ -172,6 +184,19 @@ def test_a_sound_environment_passes():
     assert report.ok
     assert {check.outcome for check in report.checks} == {"passed"}
     report.raise_if_failed()
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "name", "detail"),
+    [
+        (Frozen, "reset is deterministic", "another seed gives the same rollout"),
+        (DeadAxisAndRandomReset, "axis 'gain' acts on the dynamics", "cannot be decided"),
+    ],
+)
+def test_what_cannot_be_decided_is_a_warning(doubtful, name, detail):
+    found = {check.name: check for check in check_cmdp(doubtful, SPACE).checks}[name]
+    assert found.outcome == "warning"
+    assert detail in found.detail
 
 
 @pytest.mark.parametrize(

@@ -57,12 +57,16 @@ def check_folder(folder: Path) -> None:
 def set_aside(folder: Path) -> None:
     """Rename an existing study folder; nothing is ever deleted."""
     _check_place(folder)
-    if not folder.exists():
-        return
-    if folder.resolve() == Path.cwd():
+    if folder.exists() and folder.resolve() == Path.cwd():
         raise InvalidInput(
             "--new renames the study's folder, so that cannot be the folder you are in; go one up"
         )
+    if folder.exists():
+        renamed(folder)
+
+
+def renamed(folder: Path) -> None:
+    """Give a folder another name, and say so."""
     number = 1
     while (aside := folder.with_name(f"{folder.name}.{number}")).exists():
         number += 1

@@ -5,6 +5,7 @@ Train what the strategy picks, evaluate everywhere, save the portfolio.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from functools import partial
 from pathlib import Path
@@ -13,13 +14,15 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.cli.common import JsonFlag, console, option, print_json, printer
-from mbtl.cli.folders import check_folder, set_aside, study_in
+from mbtl.cli.folders import check_folder, renamed, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
 from mbtl.cli.worker import check_evaluated
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
+from mbtl.files import MALFORMED, read_json
 from mbtl.objective import Objective
 from mbtl.plot import curve, policy_map, save
+from mbtl.portfolio.archive import MANIFEST
 from mbtl.problems import resolve_cmdp
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
@@ -208,6 +211,13 @@ def _announce(study: Study, folder: Path) -> None:
     console.say(f"{spec.problem}: {study.space!r}, {spec.size}, study in {folder}{going_on}")
 
 
+def _keep_tuned(place: Path) -> None:
+    """Set a portfolio aside that has policies beside those of the study (`mbtl adapt`)."""
+    with contextlib.suppress(OSError, *MALFORMED):
+        if read_json((place / MANIFEST).read_text("utf-8"))["metadata"].get("adapted"):
+            renamed(place)
+
+
 def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:
     """Save the portfolio and pictures, then print the summary."""
     summary = summarise_study(study)
@@ -232,6 +242,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
                 "functions, so its policies end with this process"
             )
         try:
+            _keep_tuned(folder / "portfolio")
             portfolio.save(folder / "portfolio", overwrite=True, allow_missing=True)
             files["portfolio"] = str(folder / "portfolio")
         except StorageError as error:

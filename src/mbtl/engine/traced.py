@@ -17,24 +17,29 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium import Env, spaces
 from jax.flatten_util import ravel_pytree
 from jax.tree_util import keystr, tree_flatten_with_path
 
-from mbtl.contexts import Context, ContextSpace, Integer
+from mbtl.contexts import Categorical, Context, ContextSpace, Integer
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.engine.worlds import Box, Discrete, Solo, Step, stack_params
+from mbtl.engine.worlds.one import OneSimulation
 from mbtl.errors import InvalidInput, few, unknown_name
+from mbtl.plain import short, whole
 from mbtl.problems import CMDP, Preset
 
 Apply = Callable[[Any, Mapping[str, Any]], Any]
 """Parameters, and traced numbers by the names of the axes -> parameters in that context."""
 
+_OURS = str(Path(__file__).parents[1])
+"""Below it is no code of the user's."""
 _OWN = ("reset", "step", "action", "horizon")
 _LIMIT = "max_steps_in_episode"
 _BRAX_STEPS = 1000
@@ -61,7 +66,8 @@ def with_fields(params: Any, values: Mapping[str, Any]) -> Any:
         field, bracket, index = name.partition("[")
         if field not in leaves:
             known = few([*filter(None, leaves)], 9) or "none, see jax.tree_util.register_dataclass"
-            raise unknown_name("parameter field", field, leaves, hint=f"jax knows {known}.")
+            hint = f"jax knows {known}. Axes that are no fields need apply=."
+            raise unknown_name("parameter field", field, leaves, hint=hint)
         old, places = jnp.asarray(leaves[field]), index.removesuffix("]").split(",")
         part = np.zeros(old.shape, bool)
         try:
@@ -125,13 +131,20 @@ def jax_problem(
         UnknownName: an axis is no field of the parameters.
         InvalidInput: an axis cannot be one, or `env` is none of these or cannot be traced.
     """
+    for axis in space.axes:
+        if isinstance(axis, Categorical) and any(isinstance(one, str) for one in axis.choices):
+            raise InvalidInput(
+                f"an axis in jax is of numbers, got {short(axis.choices)} for {axis.name!r}; number "
+                f"them, as in mbtl.Categorical({axis.name!r}, (0, 1)), which apply= may translate"
+            )
     model = next((name for name in _MODELS if hasattr(env, name)), "default_params")
     given = getattr(env, model, None) if params is None else params
     ends = {int(i) for column in space.unit.T for i in (column.argmin(), column.argmax())}
     extremes = [apply(given, space.context(i)) for i in sorted(ends)]
     reset, step, action, steps = _functions(env, model, given, extremes)
     axes = tuple((axis.name, isinstance(axis, Integer)) for axis in space.axes)
-    simulated = Simulated(reset, step, action, horizon or steps, given, axes, apply)
+    most = whole("horizon of a simulator", horizon or steps)
+    simulated = Simulated(reset, step, action, most, given, axes, apply)
     problem = JaxProblem(Solo(cast(Any, simulated)), space, show_context)
     _check_traced(problem)
     options = {"eval_episodes": 10, "checkpoint": "final", **(trainer_options or {})}
@@ -244,41 +257,6 @@ class JaxProblem:
         return OneSimulation(*self([context]))
 
 
-_start, _step, _observe = (
-    jax.jit(method, static_argnums=0) for method in (Solo.start, Solo.step, Solo.observe)
-)
-
-
-class OneSimulation(Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
-    """A world of one agent as a Gymnasium environment, with the episodes of its evaluations."""
-
-    def __init__(self, world: Solo, params: Any) -> None:
-        """`params` are of one context, leading axis."""
-        self._world, self._params, action = world, params, world.action
-        width = (world.n_features + params.visible.shape[1],)
-        self.observation_space = spaces.Box(-np.inf, np.inf, width)
-        if isinstance(action, Discrete):
-            self.action_space = spaces.Discrete(action.n)
-        else:
-            self.action_space = spaces.Box(*np.array([action.low, action.high], np.float32))
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """First observation."""
-        super().reset(seed=seed)
-        drawn = self.np_random.random((1, self._world.env.n_noise)).astype(np.float32)
-        self._state, self._left = _start(self._world, drawn, self._params), self._world.env.horizon
-        return self._seen(), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One step."""
-        moved = _step(self._world, self._state, np.asarray(action)[None, None], self._params)
-        self._state, self._left = moved.state, self._left - 1
-        return self._seen(), moved.reward.item(), moved.done.item(), self._left <= 0, {}
-
-    def _seen(self) -> Any:
-        return np.asarray(_observe(self._world, self._state, self._params).obs[0, 0])
-
-
 def _check_traced(problem: JaxProblem) -> None:
     """As it will be: vectorised, in a loop; jax says in its own words what does not go."""
     seeds = jnp.zeros(1, jnp.uint32)
@@ -290,9 +268,15 @@ def _check_traced(problem: JaxProblem) -> None:
         world, params = problem([problem.space.context(0)])
         jax.eval_shape(lambda: jax.lax.scan(one, world.start(seeds, params), jnp.arange(2)))
     except (TypeError, ValueError) as error:
+        passed = (
+            at for at in extract_tb(error.__traceback__) if "site-packages" not in at.filename
+        )
+        own = [f"{at.filename}:{at.lineno}" for at in passed if not at.filename.startswith(_OURS)]
+        where = f" at {own[-1]}" if own else ""
         raise InvalidInput(
-            "axes are numbers that jax can compute with, and states keep their shapes and types, "
-            f"got a simulator of which it says: {str(error).splitlines()[0]}"
+            "jax traces a simulator: no Python `if` on its numbers (jnp.where instead), and states "
+            f"and observations keep their shapes and types; got one of which it says{where}: "
+            f"{' '.join(str(error).split())[:300]}"
         ) from error
 
 

@@ -519,6 +519,14 @@ class WorldTrainer:
         actor, acts = engine.import_actor(list(policies)), policies[0].activation
         return engine.measured(world, actor, params, each, activation=acts, how=self.how)
 
+    def simulation(self, context: Context) -> Any:
+        """One simulation as a Gymnasium environment; None of a world that is no `Solo`."""
+        from mbtl.engine.worlds.one import OneSimulation
+        from mbtl.engine.worlds.world import Solo
+
+        world, params = self.problem([context])
+        return OneSimulation(world, params) if isinstance(world, Solo) else None
+
     def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
         """See `mbtl.trainers.MeasuringTrainer`."""
         world, _ = self.problem(contexts)

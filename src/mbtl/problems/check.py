@@ -64,15 +64,18 @@ def check_cmdp(
     if steps < 1:
         raise InvalidInput(f"a check needs steps >= 1, got {steps}")
     if isinstance(problem, CMDP):
-        checks = list(_declared(problem))
-        if problem.make_env is None:
-            unseen = "given as functions, so its dynamics cannot be looked into"
+        checks, make_env = list(_declared(problem)), problem.make_env
+        if make_env is None and hasattr(problem.trainer, "simulation"):
+            if problem.trainer.simulation(problem.space.context(0)) is not None:
+                make_env = problem.trainer.simulation
+        if make_env is None:
+            unseen = "it has none, so its dynamics cannot be looked into"
             checks.append(Check("environment", "warning", unseen))
             return CheckReport(problem.id, tuple(checks))
         base = problem.nominal if nominal is None else nominal
-        apart = [getattr(one, "apart", None) for one in (problem.make_env, problem.trainer)]
+        apart = [getattr(one, "apart", None) for one in (make_env, problem.trainer)]
         probe = Probe(
-            problem.make_env, problem.space, base, steps, seed, problem.horizon,
+            make_env, problem.space, base, steps, seed, problem.horizon,
             score=problem.score, taken=problem.trainer.policy_format == "sb3",
             lives_well=False in apart, say=on_check,
         )  # fmt: skip
@@ -365,7 +368,9 @@ class Probe:
                 return "failed", f"the same instance, reset with the same seed, differs: {seen}"
             if seen := difference(first, roll(other, self._actions, self.seed)):
                 return "failed", f"another instance, reset with the same seed, differs: {seen}"
-        self._repeats = True
+            self._repeats = True
+            if not difference(first, roll(env, self._actions, self.seed + 1)):
+                return "warning", "another seed gives the same rollout: is nothing random meant?"
         return "passed", "same seed, same rollout, in the same instance and in another"
 
     def _leaks(self) -> tuple[Outcome, str]:

@@ -10,6 +10,7 @@ from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.zoo.benchmark import kinds as building
 from mbtl.zoo.benchmark.kinds import Kinds
+from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.transfers import load_transfers, transfer_ids
 
 IDS = ("pendulum-length", "pendulum-mass")
@@ -117,7 +118,9 @@ def test_the_command_builds_the_kinds_asked_for_in_their_folder(mbtl_command, mo
     assert (list(data.generalists), data.tuned) == ([1.0], {})
     assert "--kinds generalists,specialists --until 1.0" in data.provenance[0]["command"]
     mbtl_command.done(*build, "generalists", "--until", 2)
-    longer = load_transfers("pendulum-length", folder="matrices/transfers")
+    longer = load_transfers("pendulum-length", folder="matrices")
+    with pytest.raises(InvalidInput, match=r"every kind are read by mbtl\.load_transfers"):
+        TransferMatrix.load("matrices/transfers/pendulum-length-seed0.npz")
     assert list(longer.generalists) == [1.0, 2.0]
     np.testing.assert_array_equal(longer.generalists[1.0], data.generalists[1.0])
 

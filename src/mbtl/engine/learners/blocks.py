@@ -92,8 +92,8 @@ def check_finite(weights: Tree, step: int) -> None:
         bad = np.flatnonzero(~finite)
         raise TrainingFailed(
             f"training must keep finite weights, got NaN or infinity by step {step} in policies "
-            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
-            "check the contexts"
+            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); check that rewards and "
+            "observations are finite in all contexts, or lower the learning rate"
         )
 
 

@@ -466,8 +466,10 @@ class TransferMatrix:
         file = Path(path)
         arrays = read_npz(file, is_entry)
         if "returns" not in arrays:
+            kinds = "; trainings of every kind are read by mbtl.load_transfers(id, folder=...)"
             raise InvalidInput(
                 f"{file}: needs `returns` of shape (seed, source, target), got {sorted(arrays)}"
+                + kinds * ("specialists" in arrays)
             )
         try:
             words = keywords(arrays)

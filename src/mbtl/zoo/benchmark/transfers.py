@@ -113,7 +113,7 @@ def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferDa
 
     Args:
         cmdp: CMDP id, e.g. "cartpole-length".
-        folder: where to look instead of the package data.
+        folder: where to look instead of the package data, itself or its folder `transfers`.
 
     Raises:
         UnknownName: there are none.
@@ -247,4 +247,5 @@ def save_transfers(
 
 
 def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
-    return seed_files(data_folder() / FOLDER if folder is None else Path(folder))
+    place = data_folder() if folder is None else Path(folder)
+    return seed_files(place / FOLDER if (place / FOLDER).is_dir() else place)
