@@ -469,7 +469,7 @@ class TransferMatrix:
             kinds = "; trainings of every kind are read by mbtl.load_transfers(id, folder=...)"
             raise InvalidInput(
                 f"{file}: needs `returns` of shape (seed, source, target), got {sorted(arrays)}"
-                + kinds * ("specialists" in arrays)
+                + kinds * ("episodes" in arrays)
             )
         try:
             words = keywords(arrays)
