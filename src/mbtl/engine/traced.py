@@ -134,8 +134,8 @@ def jax_problem(
     for axis in space.axes:
         if isinstance(axis, Categorical) and any(isinstance(one, str) for one in axis.choices):
             raise InvalidInput(
-                f"an axis in jax is of numbers, got {short(axis.choices)} for {axis.name!r}; number "
-                f"them, as in mbtl.Categorical({axis.name!r}, (0, 1)), which apply= may translate"
+                f"an axis in jax is of numbers, got {short(axis.choices)} for {axis.name!r}; "
+                f"number them, as in mbtl.Categorical({axis.name!r}, (0, 1)); apply= may translate"
             )
     model = next((name for name in _MODELS if hasattr(env, name)), "default_params")
     given = getattr(env, model, None) if params is None else params
@@ -268,10 +268,8 @@ def _check_traced(problem: JaxProblem) -> None:
         world, params = problem([problem.space.context(0)])
         jax.eval_shape(lambda: jax.lax.scan(one, world.start(seeds, params), jnp.arange(2)))
     except (TypeError, ValueError) as error:
-        passed = (
-            at for at in extract_tb(error.__traceback__) if "site-packages" not in at.filename
-        )
-        own = [f"{at.filename}:{at.lineno}" for at in passed if not at.filename.startswith(_OURS)]
+        frames = [at for at in extract_tb(error.__traceback__) if "-packages" not in at.filename]
+        own = [f"{at.filename}:{at.lineno}" for at in frames if not at.filename.startswith(_OURS)]
         where = f" at {own[-1]}" if own else ""
         raise InvalidInput(
             "jax traces a simulator: no Python `if` on its numbers (jnp.where instead), and states "

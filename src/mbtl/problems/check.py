@@ -65,9 +65,9 @@ def check_cmdp(
         raise InvalidInput(f"a check needs steps >= 1, got {steps}")
     if isinstance(problem, CMDP):
         checks, make_env = list(_declared(problem)), problem.make_env
-        if make_env is None and hasattr(problem.trainer, "simulation"):
-            if problem.trainer.simulation(problem.space.context(0)) is not None:
-                make_env = problem.trainer.simulation
+        alone = getattr(problem.trainer, "simulation", None) if make_env is None else None
+        if alone is not None and alone(problem.space.context(0)) is not None:
+            make_env = alone
         if make_env is None:
             unseen = "it has none, so its dynamics cannot be looked into"
             checks.append(Check("environment", "warning", unseen))
