@@ -200,6 +200,12 @@ def test_another_worker_waits_for_the_first_policy_and_then_does_something_else(
     assert len(Auto().propose(problem(), busy, RNG).contexts) == 1
 
 
+def test_half_a_unit_that_is_left_of_a_failed_one_ends_the_study():
+    half = History(N, given_up=(HALF,), failed=(1, 2, 3), paid=14.5)
+    with pytest.raises(Exhausted, match="less left than a whole training"):
+        Auto().propose(problem(budget=15), half, RNG)
+
+
 def test_a_policy_for_all_that_failed_leaves_the_chooser():
     history = History(N, given_up=(HALF,), paid=0.5)
     found = Auto().propose(problem(), history, RNG)

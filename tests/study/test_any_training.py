@@ -11,7 +11,7 @@ import quick_problem
 
 import mbtl
 from flat import created, ran, told
-from mbtl.errors import InvalidInput, StudyError, TrainingFailed
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.report import summarise_study
 from mbtl.report.subject import of_study
 from mbtl.report.text import lines
@@ -54,6 +54,24 @@ def study_of(strategy, budget=4, **settings):
 
 def simulated(study, simulator, **how):
     return ran(study, simulator.train, simulator.evaluate, **how)
+
+
+def test_a_start_that_is_nowhere_spends_nothing(tmp_path):
+    kept = mbtl.trainers.FunctionTrainer(
+        lambda contexts, seed, *, start=None, length=None: 1.0,
+        lambda policy, contexts, seeds: np.full(len(contexts), 0.5),
+        lambda policy, folder: (folder / "policy").write_text("1"),
+        lambda folder: float((folder / "policy").read_text()),
+    )
+    everybody, longer = (
+        Proposal(3, "", length=1.0, sources=ALL),
+        Proposal(3, "", start=0, length=2.0, sources=ALL),
+    )
+    study = study_of(Scripted((everybody, longer)), storage=tmp_path / "study.db")
+    study.tell(study.ask(), np.full(N, 0.5), policy="policies/none")
+    with pytest.raises(StorageError, match="and nothing is there; bring it back"):
+        study.run(trainer=kept, progress=False)
+    assert (study.state.paid, study.state.failures) == (2.0, [])
 
 
 # ---- strategies ---------------------------------------------------------------------------------

@@ -172,6 +172,15 @@ def test_a_context_that_cannot_be_played_does_not_cost_the_fresh_v(capsys):
     assert "1 of 20 contexts had no fresh episode that counts: of these V is as believed" in told
 
 
+def test_a_callback_that_fails_ends_the_run_also_at_the_report():
+    class Failing(mbtl.Callback):
+        def on_report(self, study, plan):
+            raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        run(study_of(budget=1), callbacks=[Failing()])
+
+
 def test_policies_that_were_told_without_files_are_said_to_miss(capsys):
     study = study_of(budget=1)
     study.tell(200, 1.0 - np.abs(X - X[200]))

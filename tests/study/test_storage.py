@@ -151,3 +151,11 @@ def test_a_study_is_deleted_with_its_policies_unless_somebody_runs_it(tmp_path):
     study_at(tmp_path, "open").ask(lease=60.0)
     with pytest.raises(mbtl.StudyError, match="is run by"):
         mbtl.study.delete_study(tmp_path, "open")
+
+
+def test_a_study_that_was_deleted_meanwhile_says_so(tmp_path):
+    study = study_at(tmp_path, "kept")
+    study.tell(study.ask(), np.zeros(study.space.n))
+    mbtl.study.delete_study(tmp_path)
+    with pytest.raises(mbtl.StudyError, match="the study 'kept' is gone: it was deleted"):
+        study.ask()

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.cli.common import JsonFlag, console, option, print_json, printer
-from mbtl.cli.folders import check_folder, renamed, set_aside, study_in
+from mbtl.cli.folders import DATABASE, check_folder, renamed, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
 from mbtl.cli.worker import check_evaluated
@@ -131,6 +131,7 @@ def run(
         set_aside(folder)
     if workers is None:
         check_folder(folder)
+    own = workers is None or Path(workers).resolve() == (folder / DATABASE).resolve()
     running = create_study(
         cmdp,
         budget=pay,
@@ -143,7 +144,7 @@ def run(
         seed=seed,
         storage=folder / "study.db" if workers is None else workers,
         artifacts=artifacts,
-        name=study_in(folder) if workers is None else folder.resolve().name,
+        name=study_in(folder) if own else folder.resolve().name,
         load_if_exists=True,
     )
     _announce(running, folder)
@@ -238,8 +239,9 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         portfolio = study.portfolio(trainer)
         if portfolio.policies_missing:
             notes.append(
-                "the portfolio holds returns and routes only: this problem has no save and load "
-                "functions, so its policies end with this process"
+                f"of {len(portfolio.policies_missing)} policies the portfolio holds returns and "
+                "routes only: without save and load functions, or --artifacts of workers, they end "
+                "with the process that made them"
             )
         try:
             _keep_tuned(folder / "portfolio")

@@ -104,6 +104,8 @@ class Auto:
             return replace(first, length=length, notes=standing.missing)
         if standing.begins and any(standing.is_for_all(one) for one in history.under_way):
             raise Exhausted("what is best next depends on the policy for all, in training now")
+        if standing.everybody is None and problem.budget - history.paid < 1.0 - _LEAST:
+            raise Exhausted("of the budget there is less left than a whole training")
         if standing.everybody is None:
             chosen = self.chooser.propose(standing.alone, history.specialists(), rng)
             return replace(chosen, notes=(*chosen.notes, *standing.missing))

@@ -820,6 +820,7 @@ class AskTell:
 
         Raises:
             Conflict: another process was faster.
+            StudyError: the study was deleted.
         """
         with self._lock:
             event = decide(self.refresh())
@@ -827,7 +828,12 @@ class AskTell:
                 return event
             check_event(event, self._state)
             before = self._holder(event)
-            self.log.append(event, after=self._state.seq)
+            try:
+                self.log.append(event, after=self._state.seq)
+            except Conflict:
+                if not self.log.read(self._state.seq):  # nobody was faster
+                    raise StudyError(f"the study {self.name!r} is gone: it was deleted") from None
+                raise
             self.refresh()
             if before is not None:
                 self.presence.succeed(before, self.leases)

@@ -327,7 +327,8 @@ def _begun_with(job: Job) -> Any:
     """The policy to begin with; None: from scratch.
 
     Raises:
-        InvalidInput: it is nowhere.
+        InvalidInput: it was kept nowhere.
+        StorageError: nor is it where it was kept.
     """
     if job.start is None:
         return None
@@ -338,7 +339,13 @@ def _begun_with(job: Job) -> Any:
             "a training begins with a policy that was kept, and this one was told without; tell it "
             "with policy= or policy_object="
         )
-    return job.trainer.load(_folder(job, job.start.artifact))
+    folder = _folder(job, job.start.artifact)
+    if not folder.is_dir():
+        raise StorageError(
+            f"a training begins with the policy in {folder}, and nothing is there; bring it back, "
+            "or say where the study keeps its policies (artifacts=, --artifacts)"
+        )
+    return job.trainer.load(folder)
 
 
 def _steps_before(job: Job) -> float | None:

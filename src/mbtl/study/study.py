@@ -593,8 +593,12 @@ def _report(
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
         baselines = _baselines(study, trainer)
-        plan = replace(plan, baselines=len(baselines))
-        announce("on_report", plan)
+    except FAULTS as error:
+        failed(reason_of(error))
+        return
+    plan = replace(plan, baselines=len(baselines))
+    announce("on_report", plan)
+    try:
         _play(study, trainer, plan, baselines, announce, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
