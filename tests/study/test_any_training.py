@@ -643,6 +643,15 @@ def test_a_cost_pays_for_lengths_and_for_the_mean_of_a_set():
     assert study.stop_reason.startswith("of the cost budget of 11 ")
 
 
+def test_what_is_under_way_counts_where_costs_are_only_told():
+    study = mbtl.create_study(SPACE, budget=mbtl.Cost(3.5), strategy="all-first")
+    study.equip(mbtl.trainers.FunctionTrainer(Simulator().train, Simulator().evaluate))
+    study.tell(study.ask(), np.full(N, 0.5), cost=1.0)
+    assert study.state.units_left == 2.5
+    study.ask(2)
+    assert study.state.units_left == 0.5
+
+
 @pytest.mark.parametrize("strategy", ["auto", "one-policy"])
 @pytest.mark.parametrize("costs", [np.arange(1.0, N + 1.0), None])
 def test_the_cost_ends_a_study_not_the_usual_number_of_trainings(strategy, costs, capsys):

@@ -305,6 +305,7 @@ def test_a_training_that_cannot_be_is_refused(any_training):
         {"budget": 1, "steps": 10},
         {"budget": 10**6, "steps": None},
         {"budget": 10**6, "to_the_end": True},
+        {"budget": 60, "to_the_end": True, "steps": None},
     ):
         with pytest.raises(StorageError, match="cannot be"):
             read([*whole, {"kind": "extended", "data": facts, "arrays": {}}])

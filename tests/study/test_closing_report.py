@@ -168,6 +168,11 @@ def test_a_context_that_cannot_be_played_does_not_cost_the_fresh_v(capsys):
     fresh = study.run(lambda context, seed: context["x"], evaluate).fresh
     assert fresh.contexts == 19
     assert abs(fresh.value - study.routing.value.value) < 0.1
+    alone = created(
+        mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 4}), budget=4, bounds=(0.0, 1.0),
+        strategy="random",
+    )  # fmt: skip
+    assert alone.run(lambda context, seed: context["x"], evaluate).fresh.contexts == 3
     told = capsys.readouterr().err
     assert "1 of 20 contexts had no fresh episode that counts: of these V is as believed" in told
 

@@ -60,6 +60,8 @@ class Forecast:
         As of a number that lies anywhere between those around with the same chance.
         """
         around = self.believed[policy] - (0.0 if less is None else self.believed[less])
+        if np.ptp(around) < 1e-9:  # rounding
+            return 0.0
         return float(self.weights @ np.square(around - self.weights @ around)) / 3.0
 
 

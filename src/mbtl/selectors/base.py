@@ -176,7 +176,8 @@ class Proposal:
     @property
     def contexts(self) -> tuple[int, ...]:
         """Indices of all that is trained on, rising: their order does not matter."""
-        some = self.sources if len(self.sources) else (self.source,)  # an array will do, too
+        several = () if self.sources is None else self.sources  # an array will do, too
+        some = several if len(several) else (self.source,)
         return tuple(sorted(int(i) for i in some))
 
 

@@ -135,12 +135,13 @@ def check_proposal(
             f"{type(proposal).__name__} {proposal!r:.60} from {name!r}"
         )
     source, start, length = proposal.source, proposal.start, proposal.length
-    some = proposal.sources if len(proposal.sources) else (source,)
+    several = () if proposal.sources is None else proposal.sources
+    some = several if len(several) else (source,)
     proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in (*some, source))
     if not (proper and len(some) == len(set(some)) and source in some):
         got = short(source)
-        if len(proposal.sources):
-            got = f"source={got} and sources={short(tuple(proposal.sources))}"
+        if len(several):
+            got = f"source={got} and sources={short(tuple(several))}"
         raise InvalidInput(
             f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
             f"with `source` among them, got {got} from {name!r}"

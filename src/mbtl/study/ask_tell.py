@@ -736,7 +736,11 @@ class AskTell:
                 by_hand = self.trainer is not None and self._state.problem().assumed
                 if by_hand and self.spec.any_training and not number:
                     for note in record.notes:  # of what is not tried; nobody else says it
-                        warnings.warn(note, Notice, stacklevel=3)
+                        try:
+                            warnings.warn(note, Notice, stacklevel=3)
+                        except Notice:  # where warnings are errors
+                            self.release(given)
+                            raise
                 return given
 
     def _propose(self, token: str, lease: float | None) -> bool:
@@ -771,7 +775,7 @@ class AskTell:
 
                 done = self._commit(settled) is not None
                 if done and isinstance(found, str):
-                    raise ask.nothing_to_ask(self.refresh(), found)
+                    return False  # who asks again hears why, or of what was told meanwhile
         finally:
             if not done:
                 self._stop_proposing(token)

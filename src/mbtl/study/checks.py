@@ -144,6 +144,11 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     def number(holds: Callable[[int], bool]) -> Rule:
         return lambda i: is_whole(i) and holds(i)
 
+    def more(steps: Any) -> bool:
+        if same:
+            return "steps" not in event.data
+        return steps is None if now is None else is_whole(steps) and bool(steps > now)
+
     index, told = number(lambda i: i < n), number(lambda i: state.place_of(i) >= 0)
     one_open = number(lambda i: i in state.open_picks)
     next_or_open = number(lambda i: i in state.open_picks or i == asked)
@@ -166,7 +171,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {
             "budget": number(lambda k: k == least if same else k >= least),
-            "steps": lambda s: s is None if same or now is None else is_whole(s) and s > now,
+            "steps": more,
             "to_the_end": or_null(is_flag),
         },
         "asked": {

@@ -205,7 +205,7 @@ def is_record(value: Any) -> bool:
 is_count = at_least(1, is_whole)
 
 _SPEC: dict[str, Rule] = {
-    "budget": lambda one: is_whole(abs(one) if isinstance(one, int) else one),
+    "budget": lambda one: is_whole(one) or (type(one) is int and one < 0),  # which has its words
     "selector": lambda one: is_record(one) and is_text(one.get("name")),
     "bounds": or_null(lambda pair: len(pair) == 2 and all(map(is_number, pair))),
     "costs": or_null(each(is_number)),

@@ -216,10 +216,15 @@ class StudyState:
     @property
     def _cost_units(self) -> float:
         """Units that the rest of the cost pays for, at the mean cost that is known or was told."""
-        spec, asked = self.spec, (row for row in self.rows if row.pick is not None)
-        told = [row.cost / (row.length - row.done) for row in asked]
+        spec = self.spec
+        if spec.cost_budget is None:
+            return np.inf
+        told = [row.cost / (row.length - row.done) for row in self.rows if row.pick is not None]
         each = float(np.mean(spec.costs or told or 0.0))
-        return (spec.cost_budget - self.committed) / each if spec.cost_budget and each else np.inf
+        if each == 0.0:  # nothing is known of it
+            return float(spec.space.n)
+        held = 0.0 if spec.costs else sum(pick.price for pick in self.open_picks.values())
+        return (spec.cost_budget - self.committed) / each - held
 
     @property
     def row_steps(self) -> float:

@@ -702,7 +702,8 @@ def _play(
                 returns = trainer.evaluate(policy, contexts, seeds)
         blank = np.full((targets.size, 1), np.nan)
         means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
-        returns = checked_returns(returns, targets.size, study.space.named(targets))
+        named = study.space.named(targets)
+        returns = checked_returns(returns, targets.size, named, gaps=own)
         return completed(returns, gaps=own), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
@@ -721,7 +722,10 @@ def _play(
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
         metrics[0][:, targets[mine]] = means[:, mine]
-    if lost := int(np.isnan(served[plan.contexts]).any(axis=1).sum()):
+    lost = int(np.isnan(served[plan.contexts]).any(axis=1).sum())
+    if lost == plan.contexts.size:
+        raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost} contexts")
+    if lost:
         words = f"{lost} of {plan.contexts.size} contexts had no fresh episode that counts"
         announce("on_note", f"{words}: of these V is as believed")
     if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:

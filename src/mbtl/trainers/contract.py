@@ -517,6 +517,7 @@ def checked_returns(
     name: Callable[[int], str] = "target {}".format,
     *,
     whole: bool = False,
+    gaps: bool = False,
 ) -> Array:
     """Returns of one evaluation as (n_targets, n_episodes) numbers that can be computed with.
 
@@ -527,6 +528,7 @@ def checked_returns(
         n_targets: number of contexts evaluated on.
         name: what a target is called, by its place among them.
         whole: NaN is refused, too.
+        gaps: NaN may be everywhere.
 
     Raises:
         TrainingFailed: wrong shape, NaN everywhere, or a value that is infinite or beyond
@@ -548,7 +550,7 @@ def checked_returns(
             f"of the contexts given, got {got}"
         )
     wrong, missing = refused(array), np.isnan(array)
-    if array.size and missing.all() and not whole:
+    if array.size and missing.all() and not (whole or gaps):
         raise TrainingFailed(
             "an episode without a return is NaN, but one at least must have one, got NaN in all of "
             f"{array.size}"
