@@ -184,6 +184,9 @@ def test_a_callback_that_fails_ends_the_run_also_at_the_report():
 
     with pytest.raises(KeyError, match="mine"):
         run(study_of(budget=1), callbacks=[Failing()])
+    for wrong in (Failing(), [Failing]):
+        with pytest.raises(mbtl.InvalidInput, match=r"a list of objects, as \[MyCallback\(\)\]"):
+            run(study_of(budget=1), callbacks=wrong)
 
 
 def test_policies_that_were_told_without_files_are_said_to_miss(capsys):

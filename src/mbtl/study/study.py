@@ -11,7 +11,7 @@ import sys
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -199,7 +199,7 @@ class Study(AskTell):
             trainer,
             workers=workers or Workers(),
             failures=failures or Failures(),
-            callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
+            callbacks=(*_listed(callbacks), *([PrintProgress()] if progress else [])),
             report=report,
         )
 
@@ -287,7 +287,8 @@ class RunResult:
 
     def __repr__(self) -> str:
         where = "on fresh episodes" if self.fresh is not None else "estimated"
-        failed = f", {len(self.failures)} failed" if self.failures else ""
+        lost = sum(not one.pruned for one in self.failures)
+        failed = f", {lost} failed" if lost else ""
         return (
             f"RunResult({self.study.name!r}: {len(self.curve)} trainings told{failed}, "
             f"V = {self.value:.4f} {where}, {self.seconds:.1f} s; {self.stop_reason})"
@@ -488,6 +489,13 @@ def run(
         study.stopping or study.stop_reason,
         time.monotonic() - started,
     )
+
+
+def _listed(callbacks: Any) -> Sequence[Callback]:
+    """Raises InvalidInput where it is one alone, or has a class that was not called."""
+    if not isinstance(callbacks, Iterable) or any(isinstance(one, type) for one in callbacks):
+        raise InvalidInput(f"callbacks is a list of objects, as [MyCallback()], got {callbacks!r}")
+    return tuple(callbacks)
 
 
 @contextmanager

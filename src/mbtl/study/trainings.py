@@ -64,12 +64,12 @@ class Training:
 
     @property
     def status(self) -> str:
-        """What people read: "told", "failed: ...", "open: ...", "evaluated" further."""
+        """What people read: "told", "failed: ...", "pruned: ...", "open: ...", "evaluated"."""
         if self.place is not None:
             return "told"
         if self.state == "done":
             return "evaluated"
-        what = "failed" if self.state in ("failed", "pruned") else "open"
+        what = self.state if self.state in ("failed", "pruned") else "open"
         return what if self.error is None else f"{what}: {self.error}"
 
     def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
