@@ -72,6 +72,8 @@ def test_what_cannot_be_loaded_is_named(folder, reference, error, match):
 def test_only_a_cmdp_is_a_cmdp(folder):
     with pytest.raises(InvalidInput, match="must be a CMDP, got a function"):
         resolve_cmdp("own_problem:make_env")
+    with pytest.raises(InvalidInput, match=r"must be a CMDP, got <class .*ContextSpace"):
+        resolve_cmdp("own_problem:space")
     with pytest.raises(InvalidInput, match=r"write own_problem\.py:<name>"):
         resolve_cmdp("own_problem.py")
     with pytest.raises(UnknownName, match="`mbtl cmdps` lists all"):

@@ -204,6 +204,8 @@ def test_half_a_unit_that_is_left_of_a_failed_one_ends_the_study():
     half = History(N, given_up=(HALF,), failed=(1, 2, 3), paid=14.5)
     with pytest.raises(Exhausted, match="less left than a whole training"):
         Auto().propose(problem(budget=15), half, RNG)
+    cheap = problem(budget=15, costs=np.full(N, 0.1), cost_budget=10.0)
+    assert len(Auto().propose(cheap, half, RNG).contexts) == 1
 
 
 def test_a_policy_for_all_that_failed_leaves_the_chooser():

@@ -230,12 +230,19 @@ def test_the_study_ends_when_all_that_is_left_is_predicted_to_gain_little(tmp_pa
     again = mbtl.load_study(tmp_path)
     assert again.is_finished
     assert "gain less than" in again.stop_reason
-    same = {"budget": 20, "stop_confidence": 0.8}
-    more = new(tmp_path, strategy="auto", **same, load_if_exists=True)  # all is to be spent
-    assert more.stop_reason is None
-    assert mbtl.load_study(tmp_path).spec.stop_left is None
-    again.refresh()
+    again.tell(0, row(0))  # news: it asks the selector once more
     assert again.stop_reason is None
+
+
+def test_a_study_that_ended_early_goes_on_when_all_is_to_be_spent(tmp_path):
+    same = {"strategy": "auto", "budget": 20, "stop_confidence": 0.8}
+    study = new(tmp_path, stop_left=0.02, **same)
+    with pytest.raises(StudyFinished, match="left together gain less"):
+        told(study, row, 20)
+    assert new(tmp_path, **same, load_if_exists=True).stop_reason is None
+    assert mbtl.load_study(tmp_path).spec.stop_left is None
+    study.refresh()
+    assert study.stop_reason is None
 
 
 def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():

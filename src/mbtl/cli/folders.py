@@ -57,12 +57,13 @@ def check_folder(folder: Path) -> None:
 def set_aside(folder: Path) -> None:
     """Rename an existing study folder; nothing is ever deleted."""
     _check_place(folder)
-    if folder.exists() and folder.resolve() == Path.cwd():
+    if not folder.exists():
+        return
+    if folder.resolve() == Path.cwd():
         raise InvalidInput(
             "--new renames the study's folder, so that cannot be the folder you are in; go one up"
         )
-    if folder.exists():
-        renamed(folder)
+    renamed(folder)
 
 
 def renamed(folder: Path) -> None:

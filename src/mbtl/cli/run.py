@@ -142,7 +142,7 @@ def run(
             stop_value, left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT
         ),
         seed=seed,
-        storage=folder / "study.db" if workers is None else workers,
+        storage=folder / DATABASE if workers is None else workers,
         artifacts=artifacts,
         name=study_in(folder) if own else folder.resolve().name,
         load_if_exists=True,

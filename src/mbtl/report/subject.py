@@ -107,7 +107,7 @@ def of_study(study: Study) -> Subject:
         "selector": dict(spec.selector),
         "seed": spec.seed,
         "trial": spec.trial,
-        "budget": spec.budget if (spec.steps or spec.cost_budget) is None else spec.size,
+        "budget": spec.budget if spec.in_units else spec.size,
         "mbtl": state.version,
         "created": datetime.fromtimestamp(state.created_at, UTC).isoformat(" ", "minutes"),
         "settings": dict(spec.settings),

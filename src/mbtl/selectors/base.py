@@ -174,11 +174,14 @@ class Proposal:
     sources: tuple[int, ...] = ()
 
     @property
+    def given(self) -> tuple[Any, ...]:
+        """All that is trained on, as it was given: an array, or None, will do, too."""
+        return tuple(() if self.sources is None else self.sources) or (self.source,)
+
+    @property
     def contexts(self) -> tuple[int, ...]:
         """Indices of all that is trained on, rising: their order does not matter."""
-        several = () if self.sources is None else self.sources  # an array will do, too
-        some = several if len(several) else (self.source,)
-        return tuple(sorted(int(i) for i in some))
+        return tuple(sorted(int(i) for i in self.given))
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,24 @@ def adopted(given: Any) -> Selector:
     )
 
 
+def name_of(selector: Proposes) -> str:
+    """Its own, or that of its class."""
+    return str(getattr(selector, "name", type(selector).__name__))
+
+
+def check_longer(done: float, length: float, by: str = "") -> None:
+    """Refuse to go on with a training of `done` units for none more.
+
+    Raises:
+        InvalidInput: the `length` in all is no larger.
+    """
+    if length and length <= done:
+        raise InvalidInput(
+            f"a training goes on beyond the {done:g} units that it has, got length={length:g}{by}; "
+            "it is the length in all"
+        )
+
+
 def check_proposal(
     selector: Proposes, proposal: Any, history: History, *, any_training: bool
 ) -> None:
@@ -128,20 +146,19 @@ def check_proposal(
     Raises:
         InvalidInput: it breaks its contract.
     """
-    name, n = getattr(selector, "name", type(selector).__name__), history.n_targets
+    name, n = name_of(selector), history.n_targets
     if not isinstance(proposal, Proposal):
         raise InvalidInput(
             "a strategy proposes a mbtl.selectors.Proposal(source, reason), got "
             f"{type(proposal).__name__} {proposal!r:.60} from {name!r}"
         )
     source, start, length = proposal.source, proposal.start, proposal.length
-    several = () if proposal.sources is None else proposal.sources
-    some = several if len(several) else (source,)
+    some = proposal.given
     proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in (*some, source))
     if not (proper and len(some) == len(set(some)) and source in some):
         got = short(source)
-        if len(several):
-            got = f"source={got} and sources={short(tuple(several))}"
+        if some != (source,):
+            got = f"source={got} and sources={short(some)}"
         raise InvalidInput(
             f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
             f"with `source` among them, got {got} from {name!r}"
@@ -169,8 +186,5 @@ def check_proposal(
             f"a training has a length >= 0 in units, got {short(length)} from {name!r}"
         )
     made = None if start is None else history.made(start)
-    if made and length and made.contexts == proposal.contexts and length <= made.length:
-        raise InvalidInput(
-            f"a training goes on beyond the {made.length:g} units that it has, got length="
-            f"{length:g} from {name!r}; it is the length in all"
-        )
+    if made and length is not None and made.contexts == proposal.contexts:
+        check_longer(made.length, length, f" from {name!r}")

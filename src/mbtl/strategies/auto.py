@@ -104,9 +104,9 @@ class Auto:
             return replace(first, length=length, notes=standing.missing)
         if standing.begins and any(standing.is_for_all(one) for one in history.under_way):
             raise Exhausted("what is best next depends on the policy for all, in training now")
-        if standing.everybody is None and problem.budget - history.paid < 1.0 - _LEAST:
-            raise Exhausted("of the budget there is less left than a whole training")
         if standing.everybody is None:
+            if problem.costs is None and standing.left < 1.0 - _LEAST:  # else some may be cheap
+                raise Exhausted("of the budget there is less left than a whole training")
             chosen = self.chooser.propose(standing.alone, history.specialists(), rng)
             return replace(chosen, notes=(*chosen.notes, *standing.missing))
         options = self._options(standing, rng)
@@ -217,11 +217,7 @@ class Standing:
     @property
     def left(self) -> float:
         """Units of mean cost."""
-        problem, left = self.problem, self.problem.budget - self.history.paid
-        if problem.costs is None or problem.cost_budget is None:
-            return left
-        mean = float(problem.costs[problem.sources].mean())
-        return min(left, (problem.cost_budget - self.history.spent) / mean)
+        return self.problem.budget - self.history.paid
 
     def is_for_all(self, training: Training) -> bool:
         """On all that one may train on."""

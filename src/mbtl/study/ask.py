@@ -14,7 +14,7 @@ from mbtl.history import History
 from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, open_candidates
-from mbtl.selectors.contract import Selector, check_proposal
+from mbtl.selectors.contract import Selector, check_proposal, name_of
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
@@ -262,7 +262,7 @@ def _check_proposal(state: StudyState, seen: History, strategy: Selector, propos
     if proposal.targets is not None:
         checked_targets(proposal.targets, seen.n_targets)
     if state.spec.any_training:
-        _check_training(state, getattr(strategy, "name", type(strategy).__name__), proposal)
+        _check_training(state, name_of(strategy), proposal)
 
 
 def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:

@@ -126,7 +126,7 @@ class AskTell:
 
     def __repr__(self) -> str:
         told, state, spec = len(self._state.rows), self._state, self.spec
-        usual = (spec.steps or spec.cost_budget) is None and not spec.any_training
+        usual = spec.in_units and not spec.any_training
         how = f"{told} of {spec.budget} trainings told" if usual else (
             f"{told} policies told, {state.spent_words()}"
         )  # fmt: skip
@@ -730,18 +730,23 @@ class AskTell:
             number = claim.data["pick"]
             if number == following and not self._propose(claim.data["token"], lease):
                 continue
-            record = self._state.picks[number]
-            given = self._pick(record)
+            given = self._pick(self._state.picks[number])
             if given.token == claim.data["token"]:
-                by_hand = self.trainer is not None and self._state.problem().assumed
-                if by_hand and self.spec.any_training and not number:
-                    for note in record.notes:  # of what is not tried; nobody else says it
-                        try:
-                            warnings.warn(note, Notice, stacklevel=3)
-                        except Notice:  # where warnings are errors
-                            self.release(given)
-                            raise
+                self._warn_by_hand(given)
                 return given
+
+    def _warn_by_hand(self, pick: Pick) -> None:
+        """Before the first training: what is not tried; nobody else says it."""
+        if pick.number or self.trainer is None or not self.spec.any_training:
+            return
+        if not self._state.problem().assumed:
+            return
+        for note in self._state.picks[0].notes:
+            try:
+                warnings.warn(note, Notice, stacklevel=4)
+            except Notice:  # where warnings are errors
+                self.release(pick)
+                raise
 
     def _propose(self, token: str, lease: float | None) -> bool:
         """Find and record the source of the next pick; False where somebody else has done so.

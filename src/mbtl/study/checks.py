@@ -16,6 +16,7 @@ import numpy as np
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import MALFORMED, is_local
 from mbtl.plain import LARGEST, short
+from mbtl.selectors.contract import check_longer
 from mbtl.study.events import Event, Kind
 from mbtl.study.spec import (
     Rule,
@@ -106,11 +107,7 @@ def _check_training(event: Event, state: StudyState) -> None:
     asked = state.planned(data)
     if not asked.length and None in (asked.start, asked.targets):
         raise InvalidInput("what only evaluates a policy (length 0) has a start= and targets=")
-    if asked.length and asked.length <= asked.done:
-        raise InvalidInput(
-            f"a training goes on beyond the {asked.done:g} units that it has, got length="
-            f"{asked.length:g}; it is the length in all"
-        )
+    check_longer(asked.done, asked.length)
 
 
 def is_policy_place(path: object) -> bool:

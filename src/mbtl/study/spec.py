@@ -95,6 +95,11 @@ class StudySpec:
         )
 
     @property
+    def in_units(self) -> bool:
+        """Whether units are the budget: neither steps nor a cost."""
+        return self.steps is None and self.cost_budget is None
+
+    @property
     def size(self) -> str:
         """The budget for people: "K = 15", "2M steps", "cost 60"."""
         if self.cost_budget is not None:

@@ -289,7 +289,7 @@ class StudyState:
 
     def numbered(self, pick: Pick, of: str = " of ") -> str:
         """Which it is: "pick 3 of 5", or "pick 3, 2.5 of 4 units" where they differ in price."""
-        if (self.spec.steps or self.spec.cost_budget) is None and not self.spec.any_training:
+        if self.spec.in_units and not self.spec.any_training:
             return f"pick {pick.number + 1}{of}{self.spec.budget}"
         return f"pick {pick.number + 1}, {self.spent_words()}"
 

@@ -493,9 +493,10 @@ def run(
 
 def _listed(callbacks: Any) -> Sequence[Callback]:
     """Raises InvalidInput where it is one alone, or has a class that was not called."""
-    if not isinstance(callbacks, Iterable) or any(isinstance(one, type) for one in callbacks):
+    found = tuple(callbacks) if isinstance(callbacks, Iterable) else (type(callbacks),)
+    if any(isinstance(one, type) for one in found):
         raise InvalidInput(f"callbacks is a list of objects, as [MyCallback()], got {callbacks!r}")
-    return tuple(callbacks)
+    return found
 
 
 @contextmanager

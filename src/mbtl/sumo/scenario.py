@@ -288,11 +288,9 @@ class PhaseDuration:
         paths = files.paths(*LIGHTS)
         found = [(path, one) for path in paths for one in files.tree(path).iter("tlLogic")
                  if one.get("id") == self.light]  # fmt: skip
-        phases = len(found[-1][1].findall("phase")) if found else self.phase + 1
-        if not 0 <= self.phase < phases:
-            raise InvalidInput(
-                f"the light {self.light!r} has phases 0 to {phases - 1}, got {self.phase}"
-            )
+        last = len(found[-1][1].findall("phase")) - 1 if found else None
+        if last is not None and not 0 <= self.phase <= last:
+            raise InvalidInput(f"the light {self.light!r} has phases 0 to {last}, got {self.phase}")
         own = [path for path, _ in found]
         phase = f"tlLogic[@id={self.light!r}]/phase[{self.phase + 1}]"
         Attribute((own or paths[:1])[-1].name, phase, "duration").apply(files, value)
