@@ -169,7 +169,13 @@ class Routing:
     @cached_property
     def route(self) -> Indices:
         """(N,) positions of the policies that serve now."""
-        found = self._route(np.arange(self.space.n))
+        n, steps = self.space.n, self.space.steps
+        found = np.empty(n, dtype=np.intp)
+        width = n if self.beliefs.exact else max(1, 200_000 // len(self.sources))
+        for first in range(0, n, width):
+            some = np.arange(first, min(first + width, n))
+            mean = self.beliefs.on(some)[0]
+            found[some] = last_route(mean, self.sources, steps, some)
         found.setflags(write=False)
         return found
 
@@ -226,8 +232,8 @@ class Routing:
     def _valued(self, alone: int | None) -> Valuation:
         """V, or what it is more than that of one policy."""
         targets, weights = self.targets
-        route, at = self._route(targets), np.arange(len(targets))
-        mean = self.beliefs.on(targets)[0]
+        (mean, *left_out), at = self._means(targets), np.arange(len(targets))
+        route = last_route(mean, self.sources, self.space.steps, targets)
         measured = self.beliefs.measured[:, targets]
         seen = float(weights @ measured[route, at])
         served = mean[route, at]
@@ -242,11 +248,27 @@ class Routing:
         doubt = float(np.hypot(doubt, spread))
         if self.episodes is None or self.episodes.errors is None:
             return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
-        value, variance, freedom = self._cross_fitted(alone)
+        value, variance, freedom = self._cross_fitted(route, alone, left_out)
         margin = float(np.hypot(student(freedom) * np.sqrt(variance), SURE * doubt))
         return Valuation(value, float(np.hypot(np.sqrt(variance), doubt)), seen, margin)
 
-    def _cross_fitted(self, alone: int | None) -> tuple[float, float, float]:
+    def _means(self, targets: Indices) -> Array:
+        """(1 + F, k, T) what is believed, and had each fold of the episodes been left out.
+
+        Without noise that is known there are no folds.
+        """
+        episodes = self.episodes
+        if episodes is None or episodes.errors is None:
+            return self.beliefs.on(targets)[0][None]
+
+        def told(row: Indices, target: Indices) -> Array:
+            return np.column_stack([self.rows[row, target], episodes.kept(row, target)])
+
+        return self.beliefs.on_folds(targets, told)
+
+    def _cross_fitted(
+        self, route: Indices, alone: int | None, believed: Sequence[Array]
+    ) -> tuple[float, float, float]:
         """V or a gain, the variance that noise gives it, and the degrees of freedom of that.
 
         Each fold of episodes is left out in turn: those that stay choose the routes (and the best
@@ -263,10 +285,9 @@ class Routing:
         assert self.episodes is not None
         (targets, weights), steps = self.targets, self.space.steps
         at, folds = np.arange(len(targets)), self.episodes.folds
-        believed = self.beliefs.on_folds(targets, self.episodes.kept)
         says, flattery = np.zeros((2, len(at), folds))
         luck = np.zeros((len(self.sources), len(at)))
-        choices: list[tuple[float, Indices]] = [(1.0, self._route(targets))]
+        choices = [(1.0, route)]
         if alone is not None:
             choices.append((-1.0, np.full(len(at), alone)))
         for sign, serves in choices:
@@ -342,17 +363,6 @@ class Routing:
             return every, weights
         some = np.random.default_rng(0).choice(len(every), _SAMPLE, replace=False, p=weights)
         return np.sort(some), np.full(_SAMPLE, 1.0 / _SAMPLE)
-
-    def _route(self, targets: Indices) -> Indices:
-        if len(targets) == self.space.n and "route" in self.__dict__:
-            return self.route
-        steps, found = self.space.steps, np.empty(len(targets), dtype=np.intp)
-        width = len(targets) if self.beliefs.exact else max(1, 200_000 // len(self.sources))
-        for first in range(0, len(targets), width):
-            some = targets[first : first + width]
-            mean = self.beliefs.on(some)[0]
-            found[first : first + width] = last_route(mean, self.sources, steps, some)
-        return found
 
     def _sampling(self, values: Array, weights: Array) -> float:
         """Standard error of a mean over a sample of the contexts; 0 where it is over all."""

@@ -88,6 +88,16 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     assert "mbtl worker" in mbtl_command.refusal(*run, "--parallel", 2)
 
 
+def test_a_master_with_other_code_says_so_and_does_not_wait(place):
+    made(place).run(progress=False, report=False).study.extend(4)
+    (place / "quick.py").write_text(QUICK.replace("return context['x']", "return 0.0"))
+    run = ("run", "quick.py:problem", "--workers", "s/study.db", "--study", "s", "--budget", "4")
+    process = begun((*run, "--strategy", "mbtl", "--all"), stdout=subprocess.PIPE, text=True)
+    said = process.communicate(timeout=60)[0]
+    assert process.returncode == 2
+    assert "since they were made `train` changed" in said
+
+
 @pytest.mark.parametrize(
     "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)]
 )

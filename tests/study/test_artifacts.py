@@ -14,6 +14,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, database
 from mbtl.study.artifacts import FolderStore, RemoteStore, policy_store
+from mbtl.study.study import Callback
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
 
@@ -56,6 +57,16 @@ def test_a_study_keeps_its_policies_where_it_is_told(tmp_path, kind):
         kept.rename(tmp_path / "moved")
         moved = mbtl.load_study(tmp_path, artifacts=tmp_path / "moved")
         assert moved.portfolio(TRAINER).policy(0) == SPACE.unit[moved.history.sources[0], 0]
+
+
+def test_another_place_for_policies_is_noticed_at_once(tmp_path):
+    address = f"memory://{uuid.uuid4().hex}"
+    study_at(tmp_path, address, budget=1).run(trainer=TRAINER, report=False)
+    for there in address, f"{address}-mistyped", tmp_path / "mistyped":
+        study, heard, ear = mbtl.load_study(tmp_path, artifacts=there), [], Callback()
+        ear.on_note = lambda study, words, heard=heard: heard.append(words)
+        study.run(trainer=TRAINER, report=False, callbacks=[ear])
+        assert heard == [] if there == address else f"training 1 is not in {there}:" in heard[0]
 
 
 def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):

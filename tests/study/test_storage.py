@@ -39,6 +39,7 @@ def test_what_is_no_database_of_ours_is_named(tmp_path):
         ("nosuchdb://x", "a URL such as postgresql"),
         ("psql://me:secret@host/x", "a URL such as postgresql"),
         ("mysql+nothing://me:secret@host/x", "a URL such as postgresql"),
+        ("postgresql://me:secret@host:port/x", "a URL such as postgresql"),
     ):
         with pytest.raises(StorageError, match=words) as caught:
             SqlLog(place, "a")

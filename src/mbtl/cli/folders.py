@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mbtl.cli.common import console
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.study.database import check_name, check_path
+from mbtl.study.database import check_name, check_path, shown
 from mbtl.study.storage import study_names
 
 DATABASE = "study.db"
@@ -38,6 +38,11 @@ def study_in(folder: Path) -> str:
 def _check_place(folder: Path) -> None:
     """Refuse what can be no folder of a study, before it is looked at."""
     check_path(folder)
+    if ":/" in str(folder)[2:]:  # a path has lost one of two slashes; C:/ is a drive
+        raise InvalidInput(
+            f"--study takes a folder, got the URL {shown(str(folder).replace(':/', '://', 1))}; "
+            "the database of a study that workers train is --workers URL"
+        )
     check_name(folder.resolve().name)
     if folder.name == DATABASE or folder.is_file():
         raise InvalidInput(

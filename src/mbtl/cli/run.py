@@ -160,6 +160,7 @@ def run(
             score=score,
             artifacts=artifacts,
         )
+        running.equip(trainer, accept_changes=accept_changes)  # workers hear of other code at once
         follow(running, start, retry_failed=retry_failed)
     with LiveProgress(running, console) as live:
         try:

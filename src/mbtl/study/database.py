@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -104,7 +105,7 @@ def _parsed(address: str) -> sa.URL | None:
     """A URL taken apart; None: it is none, which opening it says in our words."""
     import sqlalchemy as sa
 
-    with suppress(sa.exc.ArgumentError):
+    with suppress(sa.exc.ArgumentError, ValueError):
         return sa.make_url(address)
     return None
 
@@ -135,7 +136,9 @@ def database_file(address: str) -> Path | None:
 def shown(url: str) -> str:
     """A URL as logs and people may see it: without its password."""
     parsed = _parsed(url)
-    return url if parsed is None else parsed.render_as_string(hide_password=True)
+    if parsed is None:
+        return re.sub(r"(://[^/@:]*:)[^/@]*@", r"\1***@", url)
+    return parsed.render_as_string(hide_password=True)
 
 
 def clock(engine: sa.Engine) -> Any:
@@ -202,7 +205,7 @@ def open_database(url: str, *, create: bool) -> tuple[sa.Engine, sa.Table, sa.Ta
             else f"install the package that gives {error.name}"
         )
         raise MissingExtra(f"the driver of {shown(url)} is not installed; {fix}") from error
-    except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError) as error:
+    except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ValueError) as error:
         raise StorageError(
             f"storage must be a path, or a URL such as postgresql+psycopg://me@host/studies, got "
             f"{shown(url)!r} ({error})"

@@ -39,6 +39,7 @@ from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
 from mbtl.selectors import spread_targets
 from mbtl.study import ask
+from mbtl.study.artifacts import FolderStore
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.budget import counted
@@ -449,6 +450,7 @@ def run(
             _warn_of_unsaved(study, trainer)
             _check_baselines(study, trainer)
             _announce_others(study, announce)
+            _announce_lost(study, announce)
             _announce_dear_rows(study, announce)
             again = failures.retry_failed
             if study.state.equipment is not None or again or not study.is_finished:
@@ -648,6 +650,22 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
         works = "works" if len(others) == 1 else "work"
         words = f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
         announce("on_note", words)
+
+
+def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
+    """Where policies are not where they were: a mistyped place must not be found at the end."""
+    store = study.artifacts
+    kept = [(i, row.policy) for i, row in enumerate(study.state.rows) if row.policy]
+    if store is None or not kept:
+        return
+    place = kept[-1][1]
+    if store.receipt(place) is None:
+        where = store.root if isinstance(store, FolderStore) else store.url
+        announce(
+            "on_note",
+            f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
+            "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
+        )
 
 
 def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:

@@ -1,9 +1,11 @@
 """Transfer matrices: defaults, rules, and what a file gives back."""
 
+import json
+
 import numpy as np
 import pytest
 
-from mbtl.contexts import Categorical, ContextSpace, Log
+from mbtl.contexts import Categorical, ContextSpace, Linear, Log
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds
 from mbtl.zoo.benchmark import TransferMatrix, load_matrix, save_shipped
@@ -132,6 +134,7 @@ def test_returns_cannot_be_changed_through_the_matrix_and_callers_keep_their_arr
 
 
 GOOD = np.zeros((1, 3, 3))
+THREE = json.dumps(ContextSpace.grid({Linear("x", 0, 2): 3}).to_json())
 ODD_SOURCES = ([0, 2, 5], [0, 2, 7, 5], [0, 2, 5, 8], [-1, 2, 5, 7], [0.0, 2.0, 5.0, 7.0])
 
 
@@ -155,6 +158,7 @@ ODD_SOURCES = ([0, 2, 5], [0, 2, 7, 5], [0, 2, 5, 8], [-1, 2, 5, 7], [0.0, 2.0, 
         ({"returns": GOOD, "std": np.zeros((1, 3))}, "shape of returns"),
         ({"returns": GOOD, "std": -np.ones((1, 3, 3))}, "std must be deviations from 0"),
         ({"returns": GOOD, "space": '{"axes": 3}'}, "space"),
+        ({"returns": GOOD, "space": THREE, "contexts": [[0], [1], [3]]}, "space say the same"),
         ({"returns": GOOD, "fresh_returns": np.zeros((1, 2, 2))}, "must have the shape"),
         ({"returns": GOOD, "fresh_returns": np.nan * GOOD}, "fresh_returns must be finite"),
         *(({"returns": GOOD, "episodes": odd}, "1 whole number") for odd in ([2, 3], [0])),

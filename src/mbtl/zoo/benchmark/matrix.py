@@ -290,6 +290,22 @@ def context_values(space: ContextSpace) -> Array:
     return np.array([space.values(axis.name) for axis in space.axes], dtype=np.float64).T
 
 
+def _agreed(space: ContextSpace, contexts: ArrayLike | None) -> ContextSpace:
+    """The space; contexts that a file has beside it are for other programs, and are the same.
+
+    Raises:
+        InvalidInput: they are others.
+    """
+    if contexts is not None:
+        given, own = array_of("contexts", contexts), context_values(space)
+        if given.shape != own.shape or not np.allclose(given, own):
+            raise InvalidInput(
+                "contexts and space say the same, got others; leave one of them out (of a file, "
+                "the entry `space` where you changed its contexts)"
+            )
+    return space
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class TransferMatrix:
     """Every policy on every target, for one or more training seeds.
@@ -380,7 +396,7 @@ class TransferMatrix:
             returns: (S, M, N) raw returns, finite; of the episodes that a selector may see.
             contexts: (N, d) context values; one axis of indices 0..N-1 when missing.
             axes: d axis names.
-            space: the context space itself, instead of `contexts` and `axes`.
+            space: the context space itself, which says more than `contexts` and `axes`.
             bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised), or
                 `Bounds`; the smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
@@ -402,7 +418,7 @@ class TransferMatrix:
         return cls(
             name=name,
             returns=array,
-            space=space_of(contexts, axes, n) if space is None else space,
+            space=space_of(contexts, axes, n) if space is None else _agreed(space, contexts),
             bounds=checked_bounds(bounds, array, direction_named(direction), floor),
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
