@@ -32,13 +32,9 @@ class Asked:
         return Proposal(len(history.sources), "the next one")
 
 
-@pytest.fixture
-def problem():
-    space = ContextSpace.grid({Linear("x", 0.0, 4.0): [0.0, 1.0, 2.0, 3.0, 4.0]})
-    return SelectionProblem.of(space, budget=3)
-
-
-def test_a_replay_asks_its_selector_on_one_thread_and_gives_the_others_back(problem):
+def test_a_replay_asks_its_selector_on_one_thread_and_gives_the_others_back():
+    space = ContextSpace.grid({Linear("x", 0.0, 4.0): 5})
+    problem = SelectionProblem.of(space, budget=3)
     asked, before = Asked(), most_threads()
     replay(asked, problem, lambda source: np.zeros(5))
     assert asked.threads == [1, 1, 1]

@@ -1,80 +1,54 @@
 """Transfer data in closed form: what trainings of every kind return is a formula."""
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.objective import Bounds
 from mbtl.zoo.benchmark.transfers import TransferData
 
+N, SOURCES = 41, np.arange(0, 41, 2)
+X = np.linspace(0.0, 1.0, N)
 MARKS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 PARENTS, UNITS = (1.0, 4.0), (0.5, 1.0)
-EPISODES = 10
-
-Everybody = Callable[[float, np.ndarray], np.ndarray]
-"""Units and (N,) places to (N,) performance."""
-Alone = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(M, 1) sources and (N,) targets to (M, N) performance."""
+EPISODES = (10, 10)
 
 
-def transfers(
-    everybody: Everybody,
-    gain: Alone,
-    alone: Alone,
-    *,
-    n: int = 41,
-    every: int = 2,
-    noise: float = 0.0,
-    seeds: Sequence[int] = (0,),
-    name: str = "formula",
-) -> TransferData:
-    """Copies have their parent's row and `gain` (half of it after half a unit), floored at 0."""
-    x = np.linspace(0.0, 1.0, n)
-    sources = np.arange(0, n, every)
-    home = x[sources][:, None]
+def transfers(everybody, gain, alone, *, noise=0.0, seeds=(0,)):
+    """Copies have their parent's row and `gain` (half of it after half a unit), floored at 0.
 
-    def measured(exact: np.ndarray, salt: int) -> np.ndarray:
+    Args:
+        everybody: units and (N,) places to (N,) performance.
+        gain, alone: (M, 1) sources and (N,) targets to (M, N) performance.
+        noise: of one episode.
+        seeds: one matrix each.
+    """
+    home, s, m = X[SOURCES][:, None], len(seeds), len(SOURCES)
+
+    def measured(exact, salt):
         """(S, 2, ...) with independent noise in both halves."""
-        luck = [
-            np.random.default_rng((seed, salt)).normal(size=(2, *exact.shape)) for seed in seeds
-        ]
-        return exact + noise / np.sqrt(EPISODES) * np.array(luck)
+        luck = [np.random.default_rng((z, salt)).normal(size=(2, *exact.shape)) for z in seeds]
+        return exact + noise / np.sqrt(EPISODES[0]) * np.array(luck)
 
-    generalists = {u: measured(everybody(u, x), i) for i, u in enumerate(MARKS)}
+    generalists = {u: measured(everybody(u, X), i) for i, u in enumerate(MARKS)}
     tuned = {
-        (p, u): measured(everybody(p, x) + u * gain(home, x), 100 + 10 * i + j)
+        (p, u): measured(everybody(p, X) + u * gain(home, X), 100 + 10 * i + j)
         for i, p in enumerate(PARENTS)
         for j, u in enumerate(UNITS)
     }
-    specialists = measured(alone(home, x), 99)
-    s, m = len(seeds), len(sources)
+    shapes = {"specialists": (s, m, N), "generalists": (7, s, N), "tuned": (len(tuned), s, m, N)}
     return TransferData(
-        name,
-        ContextSpace.grid({Linear("x", 0.0, 1.0): n}),
-        sources,
-        Bounds(0.0, 1.0),
-        (EPISODES, EPISODES),
-        specialists,
-        generalists,
-        tuned,
-        {
-            "specialists": np.full((s, m, n), noise),
-            "generalists": np.full((len(MARKS), s, n), noise),
-            "tuned": np.full((len(tuned), s, m, n), noise),
-        },
-        {},
-        1,
-        ({},) * s,
-    )
+        "formula", ContextSpace.grid({Linear("x", 0.0, 1.0): N}), SOURCES, Bounds(0.0, 1.0),
+        EPISODES, measured(alone(home, X), 99), generalists, tuned,
+        {kind: np.full(shape, noise) for kind, shape in shapes.items()}, {}, 1, ({},) * s,
+    )  # fmt: skip
 
 
-def bump(height: float, reach: float) -> Alone:
+def bump(height, reach):
     """Highest at home, gone beyond `reach`."""
     return lambda home, x: height * np.maximum(1.0 - np.abs(home - x) / reach, 0.0)
 
 
-def rising(end: float, start: float, tilt: float = 0.1) -> Everybody:
+def rising(end, start, tilt=0.1):
     """From `start` at a quarter of a unit towards `end`, the rest halved by every doubling."""
     return lambda units, x: end - (end - start) * 0.25 / units - tilt * np.abs(x - 0.5)
 

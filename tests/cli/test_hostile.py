@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from test_interrupt import PROGRAM
+from test_interrupt import PROGRAM, begun, wait_until
 
 import mbtl
 from mbtl.faults import harmless
@@ -150,15 +150,8 @@ def test_native_code_that_never_returns_is_recorded_and_ends_the_process(folder)
 
 @pytest.mark.parametrize("gap", [pytest.param(0.0, marks=pytest.mark.long), 0.01])
 def test_five_interrupts_are_one(folder, gap):
-    file = folder / "program.py"
-    file.write_text(PROGRAM)
-    command = [sys.executable, str(file), "run", "own.py:slow", "--no-rehearsal"]
-    process = subprocess.Popen(command, cwd=folder, stdout=-1, stderr=subprocess.STDOUT, text=True)
-    began = time.monotonic()
-    while not list(folder.glob("runs/*/.study.db.*.lock")):  # the run has begun
-        assert time.monotonic() - began < 600.0
-        assert process.poll() is None
-        time.sleep(0.05)
+    process = begun(("run", "own.py:slow", "--no-rehearsal"), cwd=folder, stdout=-1, text=True)
+    wait_until(lambda: list(folder.glob("runs/*/.study.db.*.lock")), process)  # the run has begun
     for _ in range(5):
         process.send_signal(signal.SIGINT)
         time.sleep(gap)

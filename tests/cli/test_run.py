@@ -12,20 +12,19 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import quick_problem as q
 
 import mbtl
 from mbtl.cli import main
 
-PROBLEM = """
-import quick_problem as q
-import mbtl
-how = dict(train=q.train, evaluate=q.evaluate, save=q.save, load=q.load)
+how = {"train": q.train, "evaluate": q.evaluate, "save": q.save, "load": q.load}
 problem = mbtl.CMDP.from_functions("mass", q.SPACE, **how, bounds=(-20.0, 0.0), budget=4)
 # the best gains that there are return -12 on average: V is 0.997, of which five episodes on 15
 # contexts make sure; with -2000 for 0 it would be 0.994, which is not near enough
 flat = mbtl.CMDP.from_functions(
-    "flat", q.SPACE, **how, bounds=(-4000.0, 0.0), best_return=0.0, budget=2)
-"""
+    "flat", q.SPACE, **how, bounds=(-4000.0, 0.0), best_return=0.0, budget=2
+)
+OWN = f"{__file__}:problem"
 FOLDER = "runs/mass-default-seed0"
 
 
@@ -36,30 +35,21 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 def finished(tmp_path_factory):
     """A folder where the main job ran once, its document, and what it said meanwhile."""
     folder = tmp_path_factory.mktemp("finished")
-    (folder / "own.py").write_text(PROBLEM)
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
-        mock.patch.object(sys, "argv", ["mbtl", "run", "own.py:problem", "--json"]),
+        mock.patch.object(sys, "argv", ["mbtl", "run", OWN, "--json"]),
         mock.patch.object(sys, "path", list(sys.path)), contextlib.suppress(SystemExit),
     ):  # fmt: skip
         main()
-    sys.modules.pop("own", None)
     return folder, json.loads(out.getvalue()), err.getvalue()
 
 
 @pytest.fixture
-def own(finished, tmp_path):
-    """A working folder with the problem; the main job never ran in it."""
-    shutil.copy(finished[0] / "own.py", tmp_path)
-    return "own.py:problem"
-
-
-@pytest.fixture
-def ran(finished, own, tmp_path):
+def ran(finished, tmp_path):
     """The same, after it."""
     shutil.copytree(finished[0] / "runs", tmp_path / "runs")
-    return own
+    return OWN
 
 
 def test_the_main_job_leaves_a_study_a_portfolio_and_pictures(finished):
@@ -155,11 +145,10 @@ def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(
         ("flat", ("--all",), 2, "the budget of 2 units is spent"),
     ],
 )
-@pytest.mark.usefixtures("own")
 def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
     mbtl_command, problem, options, picks, words
 ):
-    found = mbtl_command.document("run", f"own.py:{problem}", *options)
+    found = mbtl_command.document("run", f"{__file__}:{problem}", *options)
     assert len(found["picks"]) == picks
     assert words in found["finished"]
 
@@ -168,27 +157,27 @@ def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
     ("arguments", "words"),
     [
         (("run", "cartpole-lenght"), "Did you mean 'cartpole-length'? `mbtl cmdps` lists all."),
-        (("run", "OWN", "--strategy", "gredy"), "Did you mean 'greedy'"),
-        (("run", "OWN", "--budget", "0"), "budget must be 1 or more units"),
-        (("run", "OWN", "--budget", "16", "--strategy", "mbtl"), "budget must be from 1"),
-        (("run", "OWN", "--preset", "quikc"), "preset"),
-        (("run", "OWN", "--timesteps", "10"), "timesteps"),
+        (("run", OWN, "--strategy", "gredy"), "Did you mean 'greedy'"),
+        (("run", OWN, "--budget", "0"), "budget must be 1 or more units"),
+        (("run", OWN, "--budget", "16", "--strategy", "mbtl"), "budget must be from 1"),
+        (("run", OWN, "--preset", "quikc"), "preset"),
+        (("run", OWN, "--timesteps", "10"), "timesteps"),
         (("run", "signal-inflow", "--timesteps", "10"), "use --episodes"),
-        (("run", "OWN", "--parallel", "0"), "parallel of Workers is 1 or more"),
-        (("run", "OWN", "--engine", "sumo"), "engine"),
-        (("run", "OWN", "--steps", "9M", "--budget", "3"), "got both; leave one out"),
-        (("run", "OWN", "--steps", "9M"), "Steps(9000000, unit=<steps>, horizon=<steps>) in Pyt"),
+        (("run", OWN, "--parallel", "0"), "parallel of Workers is 1 or more"),
+        (("run", OWN, "--engine", "sumo"), "engine"),
+        (("run", OWN, "--steps", "9M", "--budget", "3"), "got both; leave one out"),
+        (("run", OWN, "--steps", "9M"), "Steps(9000000, unit=<steps>, horizon=<steps>) in Pyt"),
         (("run", "nowhere:problem"), "no module is called 'nowhere'"),
-        (("run", "own.py:problm"), "Did you mean 'problem'"),
+        (("run", f"{__file__}:problm"), "Did you mean 'problem'"),
         (("study", "export", "x", "rows.txt"), "ends in .json or .csv"),
         (("bench", "--matrix", "none.npz"), "none.npz"),
         (("run",), "Missing argument"),
         (("fly",), "No such command"),
-        (("run", "OWN", "--wings", "2"), "No such option"),
+        (("run", OWN, "--wings", "2"), "No such option"),
     ],
 )
-def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, own, tmp_path, arguments, words):
-    assert words in mbtl_command.refusal(*[own if a == "OWN" else a for a in arguments])
+def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, tmp_path, arguments, words):
+    assert words in mbtl_command.refusal(*arguments)
     assert not (tmp_path / "runs").exists()
 
 
@@ -204,12 +193,12 @@ def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, own, tmp_path, arg
         ("postgresql://me:secret@db/x", "got the URL postgresql://me:***@db/x; the database of"),
     ],
 )
-def test_a_folder_that_cannot_be_is_one_sentence(mbtl_command, own, tmp_path, study, words):
+def test_a_folder_that_cannot_be_is_one_sentence(mbtl_command, tmp_path, study, words):
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "study.db").write_text("a file")
     before = sorted(tmp_path.rglob("*"))
     for options in (), ("--new",):
-        said = mbtl_command.refusal("run", own, "--study", study, *options)
+        said = mbtl_command.refusal("run", OWN, "--study", study, *options)
         assert said.startswith("error: ")
         assert words in said
     after = [path for path in sorted(tmp_path.rglob("*")) if "pycache" not in str(path)]
@@ -219,11 +208,11 @@ def test_a_folder_that_cannot_be_is_one_sentence(mbtl_command, own, tmp_path, st
         mbtl_command.refusal("study", "show", study, code=1 if known else 2)
 
 
-def test_a_folder_of_something_else_is_left_alone(mbtl_command, own, tmp_path):
+def test_a_folder_of_something_else_is_left_alone(mbtl_command, tmp_path):
     """Other places without a study: tests/study/test_storage.py."""
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("do not touch")
-    assert "not a study" in mbtl_command.refusal("run", own, "--study", "thesis")
+    assert "not a study" in mbtl_command.refusal("run", OWN, "--study", "thesis")
     assert "there is none at" in mbtl_command.refusal("study", "show", "thesis", code=1)
 
 

@@ -3,10 +3,9 @@
 import signal
 import subprocess
 import threading
-import time
 
 import pytest
-from test_interrupt import begun
+from test_interrupt import begun, wait_until
 
 import mbtl
 
@@ -49,12 +48,6 @@ def worker(*arguments):
     return begun(("worker", *arguments), stdout=subprocess.PIPE, text=True)
 
 
-def until(happened, process):
-    while not happened():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-
-
 def test_a_worker_trains_what_is_left_of_a_study_and_says_so(place, mbtl_command):
     made(place)
     said = mbtl_command.document("worker", "s", "quick.py:problem")
@@ -69,8 +62,7 @@ def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_
     helped = []
 
     def help_out():
-        while not (place / "shared.db").exists():
-            time.sleep(0.02)
+        wait_until((place / "shared.db").exists)
         process = worker("shared.db", "quick.py:problem", "--json")
         helped.append((process.communicate()[0], process.returncode))
 
@@ -105,7 +97,7 @@ def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, num
     study = made(place)
     (place / "slow").touch()
     process = worker("s", "quick.py:problem")
-    until((place / "training").exists, process)
+    wait_until((place / "training").exists, process)
     assert study.refresh().open_picks[0].lease is not None
     process.send_signal(number)
     out, _ = process.communicate()

@@ -2,15 +2,11 @@
 
 import numpy as np
 import pytest
+from line_problem import load, save
 
 import mbtl
 from mbtl.portfolio import load_portfolio
 from mbtl.problems import adapt, with_adapted
-
-TOY = '''
-import numpy as np
-
-import mbtl
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 10.0): 6})
 
@@ -26,28 +22,18 @@ def evaluate(policy, contexts, seeds):
     return np.array([10.0 - abs(c["x"] - policy) + r for c, r in zip(contexts, luck, strict=True)])
 
 
-def save(policy, folder):
-    (folder / "place").write_text(str(policy))
-
-
-def load(folder):
-    return float((folder / "place").read_text())
-
-
 problem = mbtl.CMDP.from_functions(
     "toy", SPACE, train=train, evaluate=evaluate, save=save, load=load, bounds=(0.0, 10.0)
 )
 fixed = mbtl.CMDP.from_functions(
     "toy", SPACE, train=lambda context, seed: context["x"], evaluate=evaluate, save=save, load=load,
     bounds=(0.0, 10.0),
-)
-'''
+)  # fmt: skip
+TOY = f"{__file__}:problem"
 
 
 @pytest.fixture
 def toy(folder):
-    (folder / "toy.py").write_text(TOY)
-    problem = mbtl.problems.load_object("toy.py:problem")
     study = mbtl.create_study(problem, budget=2, strategy="equidistant", storage="s/study.db")
     study.run(progress=False)
     study.portfolio().save("s/portfolio")
@@ -83,14 +69,14 @@ def test_one_that_is_not_better_is_not_kept(toy, mbtl_command):
 
 
 def test_the_command_tunes_says_and_adds(toy, mbtl_command):
-    target = ("--to", "x=9", "--problem", "toy.py:problem", "--trust")
+    target = ("--to", "x=9", "--problem", TOY, "--trust")
     told = mbtl_command.document("adapt", "s/portfolio", *target)
     assert told["lead"] > told["margin"]
     assert len(load_portfolio("s/portfolio", trust=True)) == 3
     again = mbtl_command.done("adapt", "s/portfolio", *target)
     assert "Nothing was kept, and s/portfolio is as it was." in again
     study = ("--study", "s", "--strategy", "equidistant", "--budget", "2", "--all")
-    code, _, told = mbtl_command("run", "toy.py:problem", *study)
+    code, _, told = mbtl_command("run", TOY, *study)
     assert code == 0, told
     assert "set aside: s/portfolio is now s/portfolio.1" in told
     assert len(load_portfolio("s/portfolio.1", trust=True)) == 3
@@ -100,11 +86,14 @@ def test_the_command_tunes_says_and_adds(toy, mbtl_command):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (("--to", "x=9", "--problem", "toy.py:problem"), "--trust"),
-        (("--to", "x", "--problem", "toy.py:problem", "--trust"), "NAME=VALUE"),
-        (("--to", "x=11", "--problem", "toy.py:problem", "--trust"), "[0, 10]"),
-        (("--to", "x=9", "--problem", "toy.py:fixed", "--trust"), "cannot begin with the weights"),
-        (("--to", "x=9", "--problem", "toy.py:problem", "--trust", "--steps", "5"), "--steps"),
+        (("--to", "x=9", "--problem", TOY), "--trust"),
+        (("--to", "x", "--problem", TOY, "--trust"), "NAME=VALUE"),
+        (("--to", "x=11", "--problem", TOY, "--trust"), "[0, 10]"),
+        (
+            ("--to", "x=9", "--problem", f"{__file__}:fixed", "--trust"),
+            "cannot begin with the weights",
+        ),
+        (("--to", "x=9", "--problem", TOY, "--trust", "--steps", "5"), "--steps"),
     ],
 )
 def test_what_cannot_be_done_costs_one_line(toy, mbtl_command, more, words):

@@ -8,9 +8,6 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.selectors import Proposal, Traits, get_selector
 from mbtl.selectors.contract import traits_of
 
-OWN = """
-from mbtl.selectors import Proposal
-
 
 class Lowest:
     name = "lowest"
@@ -32,20 +29,11 @@ class NeedsMore:
 
 SECOND = Lowest(2)
 NOTHING = 3
-"""
 
 
-@pytest.fixture
-def file(folder):
-    """A file with selectors."""
-    path = folder / "own_selectors.py"
-    path.write_text(OWN)
-    return str(path)
-
-
-def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):
-    assert get_selector(f"{file}:Lowest").step == 1
-    assert get_selector(f"{file}:SECOND").step == 2
+def test_a_class_in_a_file_and_a_selector_made_there_are_both_found():
+    assert get_selector(f"{__file__}:Lowest").step == 1
+    assert get_selector(f"{__file__}:SECOND").step == 2
     assert get_selector("mbtl.selectors:Random").name == "random"
 
 
@@ -57,9 +45,9 @@ def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):
         ("Lowst", UnknownName, "Did you mean 'Lowest'"),
     ],
 )
-def test_what_is_no_selector_is_refused_in_one_sentence(file, name, error, match):
+def test_what_is_no_selector_is_refused_in_one_sentence(name, error, match):
     with pytest.raises(error, match=match):
-        get_selector(f"{file}:{name}")
+        get_selector(f"{__file__}:{name}")
 
 
 class Bare:

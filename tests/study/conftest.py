@@ -11,3 +11,10 @@ def server():
         pytest.skip(reason)
     with Server() as started:
         yield started
+
+
+@pytest.fixture(params=["memory", "sqlite", "postgres"])
+def storage(request, tmp_path):
+    if request.param == "postgres":
+        return request.getfixturevalue("server").url
+    return None if request.param == "memory" else tmp_path / "study.db"

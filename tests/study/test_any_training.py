@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import quick_problem
+from line_problem import load, save
 
 import mbtl
 from flat import created, ran, told
@@ -57,17 +58,9 @@ def simulated(study, simulator, **how):
 
 
 def test_a_start_that_is_nowhere_spends_nothing(tmp_path):
-    kept = mbtl.trainers.FunctionTrainer(
-        lambda contexts, seed, *, start=None, length=None: 1.0,
-        lambda policy, contexts, seeds: np.full(len(contexts), 0.5),
-        lambda policy, folder: (folder / "policy").write_text("1"),
-        lambda folder: float((folder / "policy").read_text()),
-    )
-    everybody, longer = (
-        Proposal(3, "", length=1.0, sources=ALL),
-        Proposal(3, "", start=0, length=2.0, sources=ALL),
-    )
-    study = study_of(Scripted((everybody, longer)), storage=tmp_path / "study.db")
+    kept = mbtl.trainers.FunctionTrainer(Simulator().train, Simulator().evaluate, save, load)
+    longer = replace(EVERYBODY, start=0, length=2.0)
+    study = study_of(Scripted((EVERYBODY, longer)), storage=tmp_path / "study.db")
     study.tell(study.ask(), np.full(N, 0.5), policy="policies/none")
     with pytest.raises(StorageError, match="and nothing is there; bring it back"):
         study.run(trainer=kept, progress=False)

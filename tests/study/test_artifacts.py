@@ -1,34 +1,85 @@
 """Policies are the study's and never lost: kept in a folder or a store, published by their row."""
 
 import os
+import pickle
 import uuid
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from artifact_stores import ArtifactStoreContract
 from line_problem import SPACE, TRAINER, evaluate, load, save, train
 
 import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, database
-from mbtl.study.artifacts import FolderStore, RemoteStore, policy_store
+from mbtl.study.artifacts import Artifact, FolderStore, RemoteStore, policy_store
 from mbtl.study.study import Callback
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
+PLACE = "policies/uid/source-0001-token"
 
-class TestFolder(ArtifactStoreContract):
-    @pytest.fixture
-    def store(self, tmp_path):
+
+def fill(folder):
+    """A policy of two files, one of them in a folder."""
+    (folder / "weights").mkdir()
+    (folder / "weights" / "a.bin").write_bytes(b"\x00\x01")
+    (folder / "about.txt").write_text("1.5")
+    return True
+
+
+@pytest.fixture(params=["folder", "memory"])
+def store(request, tmp_path):
+    """Empty and new."""
+    if request.param == "folder":
         return FolderStore(tmp_path)
+    pytest.importorskip("fsspec")
+    return RemoteStore(f"memory://{uuid.uuid4().hex}")
 
 
-class TestMemory(ArtifactStoreContract):
-    @pytest.fixture
-    def store(self):
-        pytest.importorskip("fsspec")
-        return RemoteStore(f"memory://{uuid.uuid4().hex}")
+def test_what_is_read_is_what_was_written(store):
+    """With its receipt, and also by another process."""
+    made = store.write(PLACE, fill, {"seed": 3})
+    assert made is not None
+    other = pickle.loads(pickle.dumps(store))
+    receipt = other.receipt(PLACE)
+    assert (receipt["seed"], receipt["sha256"]) == (3, made.sha256)
+    folder = other.read(PLACE, made.sha256)
+    assert (folder / "weights" / "a.bin").read_bytes() == b"\x00\x01"
+    assert (folder / "about.txt").read_text() == "1.5"
+
+
+def test_a_place_that_can_be_written_says_so_and_stays_usable(store):
+    """It is asked before every run."""
+    store.check()
+    store.check()
+    assert store.write(PLACE, fill, {}) is not None
+
+
+def test_what_is_not_there_is_not_there(store):
+    """No error: a row may have no policy."""
+    assert store.receipt(PLACE) is None
+    assert not store.read(PLACE).exists()
+
+
+def test_what_cannot_be_saved_leaves_nothing(store):
+    """Neither where it says so, nor where it breaks."""
+
+    def broken(folder):
+        fill(folder)
+        raise RuntimeError("half way")
+
+    assert store.write(PLACE, lambda folder: False, {}) is None
+    with pytest.raises(RuntimeError, match="half way"):
+        store.write(PLACE, broken, {})
+    assert store.receipt(PLACE) is None
+
+
+def test_another_hash_is_refused(store):
+    """The row that was told means the files that were there then."""
+    assert isinstance(store.write(PLACE, fill, {}), Artifact)
+    with pytest.raises(StorageError, match="not the one that was told"):
+        store.read(PLACE, "0" * 64)
 
 
 def study_at(place, artifacts=None, **settings):

@@ -44,6 +44,12 @@ def ran(budget, baselines=("fixed",), storage=None):
     return study
 
 
+def compared(study, baselines):
+    """Its policies delay cars by 14 s in fresh episodes."""
+    fresh = np.full((5, 3), 14.0)
+    study.record_fresh_returns(fresh, fresh, best_single=0, baselines=baselines)
+
+
 def test_the_score_has_a_direction_and_is_what_a_mapping_is_read_for():
     cmdp = problem()
     assert cmdp.direction == "minimize"
@@ -147,27 +153,18 @@ def test_the_page_speaks_the_unit_of_the_score_context_by_context():
 
 def test_a_baseline_that_is_as_good_or_better_is_said_first():
     study = ran(1)
-    study.record_fresh_returns(
-        np.full((5, 3), 14.0), np.full((5, 3), 14.0), best_single=0,
-        baselines={"fixed time": np.full((5, 3), 13.0)},
-    )  # fmt: skip
+    compared(study, {"fixed time": np.full((5, 3), 13.0)})
     first = lines(summarise_study(study), SPACE)[0]
     assert first.startswith("Training is not worth it so far: 0.0500 behind 'fixed time'")
     spread = np.array([13.0, 14.0, 15.0])
-    study.record_fresh_returns(
-        np.full((5, 3), 14.0), np.full((5, 3), 14.0), best_single=0,
-        baselines={"fixed time": np.tile(spread, (5, 1))},
-    )  # fmt: skip
+    compared(study, {"fixed time": np.tile(spread, (5, 1))})
     assert lines(summarise_study(study), SPACE)[0].startswith("Training adds nothing sure to")
 
 
 def test_contexts_where_a_baseline_did_better_are_named():
     study = ran(1)
     better = np.array([13.0, 15.0, 12.0, 14.5, 14.0])[:, None] + np.zeros((5, 3))
-    study.record_fresh_returns(
-        np.full((5, 3), 14.0), np.full((5, 3), 14.0), best_single=0,
-        baselines={"slow": np.full((5, 3), 20.0), "fixed time": better},
-    )  # fmt: skip
+    compared(study, {"slow": np.full((5, 3), 20.0), "fixed time": better})
     summary = summarise_study(study)
     assert summary.behind == ((2, "fixed time"), (0, "fixed time"))
     said = "A baseline did better in 2 of 5 contexts, most at demand = 3 veh/min (fixed time)."

@@ -12,11 +12,6 @@ from mbtl.trainers import FunctionTrainer
 SPACE = line(64)
 
 
-def study_of(root=0, **settings):
-    given = {"budget": 2, "bounds": (0.0, 1.0), "strategy": "random", **settings}
-    return created(SPACE, seed=root, **given)
-
-
 @pytest.mark.parametrize(
     ("evaluate", "expected"),
     [
@@ -54,7 +49,7 @@ class Heard(FunctionTrainer):
 @pytest.mark.parametrize("eval_targets", [None, 10])
 def test_a_study_evaluates_each_target_with_the_seed_that_it_hands_out(eval_targets):
     trainer = Heard()
-    study = study_of(3, eval_targets=eval_targets)
+    study = created(SPACE, budget=2, seed=3, strategy="random", eval_targets=eval_targets)
     study.run(trainer=trainer, progress=False)
     seeds = study.evaluation_seeds()
     fresh = study.evaluation_seeds(purpose=Purpose.REPORT)

@@ -319,13 +319,6 @@ def test_an_end_that_leaves_work_behind_is_known_until_the_last_of_it_is_taken_o
 THREADS = 6
 
 
-@pytest.fixture(params=["memory", "sqlite", "postgres"])
-def storage(request, tmp_path):
-    if request.param == "postgres":
-        return request.getfixturevalue("server").url
-    return None if request.param == "memory" else tmp_path / "study.db"
-
-
 def test_one_study_that_many_threads_ask_tell_and_read_misses_no_row(storage, request):
     study = created(
         SPACE, budget=N, bounds=(0.0, 1.0), strategy="random", storage=storage,

@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import sqlalchemy
-from event_logs import EventLogContract
 from line_problem import line
 
 import mbtl
@@ -29,12 +28,6 @@ def postgres(server):
 @pytest.fixture
 def name(request):
     return request.node.name
-
-
-class TestPostgres(EventLogContract):
-    @pytest.fixture
-    def log(self, postgres, name):
-        return SqlLog(postgres, name, create=True)
 
 
 @pytest.mark.parametrize("workers", [6, pytest.param(64, marks=pytest.mark.long)])

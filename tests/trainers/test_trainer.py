@@ -11,12 +11,8 @@ from mbtl.trainers.contract import FunctionTrainer, Trained, Trainer, refusal
 ONE, TWO = [{"x": 1.0}], [{"x": 1.0}, {"x": 2.0}]
 
 
-def evaluate(policy, contexts, seeds):
-    return [0.0 for _ in contexts]
-
-
 def of(train, **functions):
-    return FunctionTrainer(train, evaluate, **functions)
+    return FunctionTrainer(train, lambda policy, contexts: [0.0 for _ in contexts], **functions)
 
 
 def everything(contexts, seed, *, start=None, length=None, on_progress=None):

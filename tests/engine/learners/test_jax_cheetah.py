@@ -36,14 +36,10 @@ def test_each_simulation_is_the_environment_of_its_context():
 
 def test_evaluated_episodes_begin_as_those_of_the_environment():
     world = worlds.hosted(HalfCheetahs())
-    first = world.start(world.draws(np.arange(2, dtype=np.uint32)), engine_params(CONTEXTS[:2]))
+    params = worlds.stack_params(world, [HalfCheetah(c).constants for c in CONTEXTS[:2]])
+    first = world.start(world.draws(np.arange(2, dtype=np.uint32)), params)
     want = [HalfCheetah(visibility="hidden").reset(seed=seed)[0] for seed in range(2)]
     np.testing.assert_allclose(first.env.obs, want, atol=1e-6)
-
-
-def engine_params(contexts):
-    world = worlds.hosted(HalfCheetahs())
-    return worlds.stack_params(world, [HalfCheetah(c).constants for c in contexts])
 
 
 def test_results_do_not_depend_on_threads_or_company(monkeypatch):

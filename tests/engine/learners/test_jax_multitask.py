@@ -1,7 +1,6 @@
 """One policy for all contexts: turns, composition, orthogonality, learning, resuming."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -49,8 +48,14 @@ def test_every_context_is_started_equally_often():
     recipe = engine.MultiTaskRecipe.of("paco", replace(TINY, n_envs=7, n_steps=240))
     params = engine.in_sets(recipe, params_of(CARTPOLE, LENGTHS), 5)
     state = algorithms.init(CARTPOLE, recipe, [0], params)
-    play = jax.jit(jax.vmap(partial(_play_only, recipe)))
-    _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
+
+    def played(state, params):
+        _, noise = draw(CARTPOLE, state.key, (recipe.n_steps, recipe.n_envs))
+        return play(CARTPOLE, recipe, state, params, noise)
+
+    _, rollout = jax.jit(jax.vmap(played))(
+        state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
+    )
     contexts = np.asarray(rollout.obs)[0, :, :, -1].astype(int)
     done = np.asarray(rollout.done)[0]
     started = list(contexts[0])
@@ -60,11 +65,6 @@ def test_every_context_is_started_equally_often():
         np.testing.assert_array_equal(before[~done[t]], after[~done[t]])
     np.testing.assert_array_equal(started, np.arange(len(started)) % 5)
     assert len(started) > 8
-
-
-def _play_only(recipe, state, params):
-    _, noise = draw(CARTPOLE, state.key, (recipe.n_steps, recipe.n_envs))
-    return play(CARTPOLE, recipe, state, params, noise)
 
 
 # ---- vectors per context -------------------------------------------------------------------------

@@ -165,14 +165,10 @@ def test_a_step_that_would_not_pay_is_not_made():
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
-def one_context(trainer, context):
-    twin, params = trainer.problem([context])
-    return twin, worlds.context_of(params, 0)
-
-
 def test_episodes_record_what_was_done():
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for("quick")
-    twin, params = one_context(trainer, {"hold": 40.0})
+    twin, params = trainer.problem([{"hold": 40.0}])
+    params = worlds.context_of(params, 0)
     recipe = TRPORecipe()
     state = engine.start(twin, recipe, [5], params).state
     seeds = np.arange(3, dtype=np.uint32)[None]

@@ -16,13 +16,9 @@ def returns():
     return np.random.default_rng(1).uniform(-3, 7, size=(2, 4, 4))
 
 
-def write(path, **entries):
-    np.savez(path, **entries)
-    return path
-
-
 def test_defaults_are_those_of_the_contract(tmp_path, returns):
-    matrix = TransferMatrix.load(write(tmp_path / "m.npz", returns=returns))
+    np.savez(tmp_path / "m.npz", returns=returns)
+    matrix = TransferMatrix.load(tmp_path / "m.npz")
     assert matrix.bounds == Bounds(returns.min(), returns.max(), "maximize")  # over all seeds
     assert matrix.theta == 0.005
     assert matrix.contexts.tolist() == [[0], [1], [2], [3]]

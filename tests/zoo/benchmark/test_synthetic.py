@@ -25,15 +25,11 @@ LEVELS = {3: 8, 5: 5, 7: 4}
 SLOPES = {3: (4, 3), 5: (2, 2), 7: (0, 2)}
 
 
-def all_rows(world, seed=0):
-    return world.rows(seed, np.arange(world.n))
-
-
 def test_linear_gap_world_is_its_formula():
     i = np.arange(100)
     expected = 0.9 - 0.005 * np.abs(i[:, None] - i)
     world = synthetic_world("synthetic:linear-gap")
-    assert np.array_equal(all_rows(world), expected)
+    assert np.array_equal(world.rows(0, np.arange(100)), expected)
     assert world.problem(3).theta == 0.005
     assert isinstance(world, RowSource)
 

@@ -7,6 +7,7 @@ import transfer_worlds
 from mbtl.errors import InvalidInput, MbtlError
 from mbtl.history import Training
 from mbtl.selectors import Proposal, get_selector
+from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.trainings import ABILITIES, TransferWorld, replay_trainings, specialists_of
 from scripted import Scripted
@@ -113,17 +114,11 @@ def test_a_selector_is_replayed_as_on_the_matrix_of_specialists(name):
     matrix, selector = specialists_of(data), get_selector(name)
     run = replay_trainings(selector, TransferWorld(data, 1), 5)
     assert run.value == pytest.approx(
-        [float(v) for v in measured(matrix, [one.contexts[0] for one in run.trainings])]
+        [float(v) for v in measured_curve(matrix, 1, [one.contexts[0] for one in run.trainings])]
     )
     if name != "specialists":  # that one heeds the noise, which the other replay does not tell
         plain = replay(selector, matrix.problem(5), lambda x: matrix.rows(1, [x])[0])
         assert [one.contexts[0] for one in run.trainings] == list(plain.history.sources)
-
-
-def measured(matrix, sources):
-    from mbtl.zoo.benchmark.base import measured_curve
-
-    return measured_curve(matrix, 1, sources)
 
 
 def test_noise_is_told_as_standard_errors_and_v_is_of_the_other_episodes():

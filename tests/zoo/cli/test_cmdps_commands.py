@@ -3,24 +3,16 @@ import json
 import pytest
 
 from mbtl.problems import cmdp_ids, get_cmdp
-
-OWN = """
 from mbtl.zoo.cmdps.cartpole import CartPole
-from mbtl.problems import cmdp_ids, get_cmdp
+
 
 def make_env(context):
     return CartPole(context, physics="reference")
 
+
 cmdp = get_cmdp("pendulum-mass")
 dead = get_cmdp("cartpole-masscart", physics="reference", visibility="hidden")
 number = 3
-"""
-
-
-@pytest.fixture
-def own(tmp_path):
-    (tmp_path / "own_cli_problem.py").write_text(OWN)
-    return "own_cli_problem.py"
 
 
 def test_the_list_fits_80_columns(mbtl_command, monkeypatch):
@@ -62,24 +54,24 @@ def test_presets_of_every_engine_are_shown(mbtl_command, monkeypatch):
     assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget
 
 
-def test_check_fails_a_dead_axis_after_showing_the_report(mbtl_command, own):
-    code, out, _ = mbtl_command("check", f"{own}:dead")
+def test_check_fails_a_dead_axis_after_showing_the_report(mbtl_command):
+    code, out, _ = mbtl_command("check", f"{__file__}:dead")
     assert (code, "11 of 12 checks hold, 1 failed" in out) == (1, True)
-    code, out, _ = mbtl_command("check", f"{own}:dead", "--json")
+    code, out, _ = mbtl_command("check", f"{__file__}:dead", "--json")
     assert (code, json.loads(out)["ok"]) == (1, False)
 
 
-def test_check_on_a_user_s_problem(mbtl_command, own):
-    mbtl_command.done("check", f"{own}:cmdp")
+def test_check_on_a_user_s_problem(mbtl_command):
+    mbtl_command.done("check", f"{__file__}:cmdp")
 
 
 @pytest.mark.parametrize(
     ("argument", "words"),
     [
         ("cartpole-lenght", "Did you mean 'cartpole-length'"),
-        ("{own}:number", "must be a CMDP"),
-        ("{own}:make_env", "must be a CMDP, got a function; build one"),
+        (f"{__file__}:number", "must be a CMDP"),
+        (f"{__file__}:make_env", "must be a CMDP, got a function; build one"),
     ],
 )
-def test_wrong_usage_is_named(mbtl_command, own, argument, words):
-    assert words in mbtl_command.refusal("check", argument.format(own=own))
+def test_wrong_usage_is_named(mbtl_command, argument, words):
+    assert words in mbtl_command.refusal("check", argument)

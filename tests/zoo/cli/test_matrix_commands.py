@@ -1,106 +1,36 @@
 """`mbtl matrix build` on a user's own problem, and what other commands say of its files."""
 
 import json
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mbtl.contexts import ContextSpace, Linear
+from mbtl.problems import CMDP, Preset
+from mbtl.trainers import Trained, Trainer
 from mbtl.zoo.benchmark import TransferMatrix, load_matrix
 
-PROBLEM = """
-from mbtl import ContextSpace
-from mbtl.problems import CMDP
-from mbtl.contexts import Linear
 
 def train(context, seed):
     if STOP.exists() and context["length"] == 3.0:
         raise KeyboardInterrupt
     with LOG.open("a") as log:
-        log.write(f"{context['length']}\\n")
+        log.write(f"{context['length']}\n")
     return context["length"]
+
 
 def evaluate(policy, contexts, seeds):
     return [100.0 - 10.0 * abs(policy - c["length"]) for c in contexts]
 
-from pathlib import Path
+
 LOG, STOP = Path("trained.txt"), Path("stop")
 mine = CMDP.from_functions(
     "cartpole-length", ContextSpace.grid({Linear("length", 1, 4): [1, 2, 3, 4]}),
     train=train, evaluate=evaluate, bounds=(0.0, 100.0), theta=0.1,
-)
-"""
+)  # fmt: skip
 
-
-@pytest.fixture
-def problem(mbtl_command, tmp_path):
-    (tmp_path / "own.py").write_text(PROBLEM)
-    return tmp_path
-
-
-BUILD = ("matrix", "build", "own.py:mine", "--workers", 1)
-
-
-def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
-    code, out, err = mbtl_command(*BUILD, "--seeds", 2, "--json")
-    assert code == 0, err
-    assert [one["file"] for one in json.loads(out)["matrices"]] == [
-        f"matrices/cartpole-length-seed{seed}.npz" for seed in range(2)
-    ]
-    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
-    x = np.arange(4.0)
-    np.testing.assert_allclose(matrix.performance(1), 1.0 - 0.1 * abs(x[:, None] - x))
-    assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
-    record = matrix.provenance["seeds"][1]
-    assert record["command"] == "mbtl matrix build own.py:mine --seeds 1 --first-seed 1"
-    (origin,) = record["origins"]
-    assert (origin["versions"]["numpy"], origin["sources"]) == (np.__version__, 4)
-    assert matrix.episodes == (1,)
-    assert matrix.std is None
-    assert record["recipe"] == {"trainer": "FunctionTrainer"}
-    assert record["problem"] == "cartpole-length"
-    assert record["evaluation_seeds"] == matrix.evaluation_seeds == "per target"
-    assert "evaluation seeds per target" in err
-
-
-def test_an_interrupted_build_goes_on(mbtl_command, problem):
-    (problem / "stop").touch()
-    assert "run the same command again" in mbtl_command.refusal(*BUILD, "--seeds", 1, code=130)
-    (problem / "stop").unlink()
-    mbtl_command.done(*BUILD, "--seeds", 1)
-    assert (problem / "trained.txt").read_text().split() == ["1", "2", "3", "4"]
-    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
-    assert code == 0
-    assert "there already" in err
-    assert len((problem / "trained.txt").read_text().split()) == 4
-
-
-def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
-    mbtl_command, problem
-):
-    (problem / "kept.py").write_text(KEPT)
-    build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
-    again = (*build, "--evaluate-again", "--eval-episodes", 4)
-    assert "no policies were kept" in mbtl_command.refusal(*again)
-    mbtl_command.done(*build)
-    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
-    (claim,) = problem.glob("runs/*/settings.json")
-    older = json.loads(claim.read_text())
-    del older["evaluation_seeds"]  # of before targets had their own: the policies are the same
-    claim.write_text(json.dumps(older))
-    mbtl_command.done(*again)
-    evaluated = load_matrix("cartpole-length", folder=problem / "matrices")
-    assert (evaluated.episodes, evaluated.evaluation_seeds) == ((2, 2), "per target")
-    assert len((problem / "trained.txt").read_text().split()) == 4
-    assert "recipe.timesteps was 5, got 7" in mbtl_command.refusal(*again, "--timesteps", 7)
-
-
-KEPT = """
-import json
-from dataclasses import dataclass
-import numpy as np
-from mbtl.problems import CMDP, Preset
-from mbtl.trainers import Trained, Trainer
-from own import mine, train
 
 @dataclass(frozen=True)
 class Kept(Trainer):
@@ -124,11 +54,70 @@ class Kept(Trainer):
     def load(self, folder):
         return json.loads((folder / "policy.json").read_text())
 
+
 kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
-"""
 
 
-def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
+OWN, KEPT = f"{__file__}:mine", f"{__file__}:kept"
+
+
+BUILD = ("matrix", "build", OWN, "--workers", 1)
+
+
+def test_a_users_problem_becomes_matrix_files(mbtl_command, tmp_path):
+    code, out, err = mbtl_command(*BUILD, "--seeds", 2, "--json")
+    assert code == 0, err
+    assert [one["file"] for one in json.loads(out)["matrices"]] == [
+        f"matrices/cartpole-length-seed{seed}.npz" for seed in range(2)
+    ]
+    matrix = load_matrix("cartpole-length", folder=tmp_path / "matrices")
+    x = np.arange(4.0)
+    np.testing.assert_allclose(matrix.performance(1), 1.0 - 0.1 * abs(x[:, None] - x))
+    assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
+    record = matrix.provenance["seeds"][1]
+    assert record["command"] == f"mbtl matrix build {OWN} --seeds 1 --first-seed 1"
+    (origin,) = record["origins"]
+    assert (origin["versions"]["numpy"], origin["sources"]) == (np.__version__, 4)
+    assert matrix.episodes == (1,)
+    assert matrix.std is None
+    assert record["recipe"] == {"trainer": "FunctionTrainer"}
+    assert record["problem"] == "cartpole-length"
+    assert record["evaluation_seeds"] == matrix.evaluation_seeds == "per target"
+    assert "evaluation seeds per target" in err
+
+
+def test_an_interrupted_build_goes_on(mbtl_command, tmp_path):
+    (tmp_path / "stop").touch()
+    assert "run the same command again" in mbtl_command.refusal(*BUILD, "--seeds", 1, code=130)
+    (tmp_path / "stop").unlink()
+    mbtl_command.done(*BUILD, "--seeds", 1)
+    assert (tmp_path / "trained.txt").read_text().split() == ["1", "2", "3", "4"]
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert code == 0
+    assert "there already" in err
+    assert len((tmp_path / "trained.txt").read_text().split()) == 4
+
+
+def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
+    mbtl_command, tmp_path
+):
+    build = ("matrix", "build", KEPT, "--seeds", 1, "--workers", 1, "--preset", "full")
+    again = (*build, "--evaluate-again", "--eval-episodes", 4)
+    assert "no policies were kept" in mbtl_command.refusal(*again)
+    mbtl_command.done(*build)
+    assert load_matrix("cartpole-length", folder=tmp_path / "matrices").episodes == (1, 1)
+    (claim,) = tmp_path.glob("runs/*/settings.json")
+    older = json.loads(claim.read_text())
+    del older["evaluation_seeds"]  # of before targets had their own: the policies are the same
+    claim.write_text(json.dumps(older))
+    mbtl_command.done(*again)
+    evaluated = load_matrix("cartpole-length", folder=tmp_path / "matrices")
+    assert (evaluated.episodes, evaluated.evaluation_seeds) == ((2, 2), "per target")
+    assert len((tmp_path / "trained.txt").read_text().split()) == 4
+    assert "recipe.timesteps was 5, got 7" in mbtl_command.refusal(*again, "--timesteps", 7)
+
+
+def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, tmp_path, monkeypatch):
     monkeypatch.setattr("mbtl.cli.common.SILENCE", -1.0)
     assert "seed 0 sources: 3 of 4" in mbtl_command(*BUILD, "--seeds", 1)[2]
     monkeypatch.setattr("mbtl.cli.common.SILENCE", 3600.0)
@@ -138,22 +127,22 @@ def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("matrix", "build", "own.py:mine", "--seeds", 0), "--seeds must be >= 1"),
-        (("matrix", "build", "own.py:mine", "--checkpoint", "worst"), "best, final or both"),
-        (("matrix", "build", "own.py:mine", "--visibility", "hidden"), "switches of our CMDPs"),
-        (("matrix", "build", "own.py:mine", "--timesteps", 5), "takes no options"),
+        (("matrix", "build", OWN, "--seeds", 0), "--seeds must be >= 1"),
+        (("matrix", "build", OWN, "--checkpoint", "worst"), "best, final or both"),
+        (("matrix", "build", OWN, "--visibility", "hidden"), "switches of our CMDPs"),
+        (("matrix", "build", OWN, "--timesteps", 5), "takes no options"),
         (("matrix", "build", "cartpole-lenght"), "cartpole-length"),
-        (("matrix", "build", "own.py:mine", "--with", "cartpole-mass"), "--with names CMDPs"),
+        (("matrix", "build", OWN, "--with", "cartpole-mass"), "--with names CMDPs"),
         (("reproduce", "--budget", 0), "--budget must be >= 1"),
         (("reproduce", "--variant", "nothing"), "no matrices of the variant"),
         (("reproduce", "cartpole-lenght"), "cartpole-length"),
     ],
 )
-def test_bad_input_says_what_to_do(mbtl_command, problem, arguments, complaint):
+def test_bad_input_says_what_to_do(mbtl_command, tmp_path, arguments, complaint):
     assert complaint in mbtl_command.refusal(*arguments)
 
 
-def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
+def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, tmp_path):
     mbtl_command.done(*BUILD, "--seeds", 1)
     out = mbtl_command.done("matrix", "show", "matrices/cartpole-length-seed0.npz")
     assert "Performance 0 is a return of 0, 1 of 100" in out
@@ -194,20 +183,20 @@ def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path)
     assert "-200..10" in mbtl_command("cmdps", "walker-gravity")[1]
 
 
-def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
+def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, tmp_path):
     mbtl_command.done(*BUILD, "--seeds", 1, "--every", 2)
-    matrix = load_matrix("cartpole-length", "every2", folder=problem / "matrices")
+    matrix = load_matrix("cartpole-length", "every2", folder=tmp_path / "matrices")
     assert matrix.space.values("length") == [1, 3]
     assert matrix.theta == 0.2
     assert "--every 2" in matrix.provenance["seeds"][0]["command"]
     mbtl_command.refusal(*BUILD, "--every", 0)
 
 
-def test_every_second_context_is_a_source(mbtl_command, problem):
+def test_every_second_context_is_a_source(mbtl_command, tmp_path):
     build = (*BUILD, "--seeds", 1, "--sources-every", 2)
     mbtl_command.done(*build)
-    assert (problem / "trained.txt").read_text().split() == ["1", "3"]
-    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
+    assert (tmp_path / "trained.txt").read_text().split() == ["1", "3"]
+    matrix = load_matrix("cartpole-length", folder=tmp_path / "matrices")
     np.testing.assert_array_equal(matrix.sources, [0, 2])
     np.testing.assert_allclose(matrix.rows(0, [2])[0], [0.8, 0.9, 1.0, 0.9])
     command = matrix.provenance["seeds"][0]["command"]

@@ -1,13 +1,12 @@
 """`mbtl play` of a user's own problem: with its baselines, as a film and as a table."""
 
 import csv
+from typing import ClassVar
 
-import pytest
-from PIL import Image
-
-PROBLEM = """
 import gymnasium as gym
 import numpy as np
+import pytest
+from PIL import Image
 
 import mbtl
 
@@ -15,7 +14,7 @@ import mbtl
 class Tank(gym.Env):
     observation_space = gym.spaces.Box(0.0, 1.0, (1,))
     action_space = gym.spaces.Discrete(2)
-    metadata = {"render_modes": ["rgb_array"]}
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
 
     def __init__(self, context, render_mode=None):
         self.leak = 0.05 if context["pipe"] == "old" else 0.01
@@ -48,22 +47,16 @@ def problem_of(make_env):
         hyperparameters={"n_steps": 32, "batch_size": 32}, bounds=(0.0, 100.0),
         score=mbtl.Score("gap", unit="%", direction="minimize"), metrics={"water": "litres"},
         baselines={"full": lambda seen: 1, "at random": "random_actions"},
-    )
+    )  # fmt: skip
 
 
 problem, blind = problem_of(Tank), problem_of(lambda context: Tank(context))
-"""
+TANK = f"{__file__}:problem"
 
 
-@pytest.fixture
-def tank(folder):
-    (folder / "tank.py").write_text(PROBLEM)
-    return "tank.py:problem"
-
-
-def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, tank):
+def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command):
     told = ["--at", "pipe=old", "--at", "steps=8", "--csv", "out/tank.csv", "--film", "tank.gif"]
-    found = mbtl_command.document("play", tank, *told)
+    found = mbtl_command.document("play", TANK, *told)
     assert found["context"] == {"pipe": "old", "steps": 8}
     assert list(found["all"]) == ["choices at random", "full"]  # nothing twice
     assert found["all"]["full"] == [pytest.approx(100.0 * (1.0 - 0.9))]  # 8 steps of 0.1 - 0.05
@@ -76,21 +69,21 @@ def test_baselines_stand_beside_and_every_decision_is_in_a_table(mbtl_command, t
         assert film.n_frames > 4
 
 
-def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command, tank):
-    mbtl_command.done("run", tank, "--study", "s", "--no-report")
+def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command):
+    mbtl_command.done("run", TANK, "--study", "s", "--no-report")
     play = ("play", "s/portfolio", "--trust")
     assert "add --problem my_file.py:problem" in mbtl_command.refusal(*play)
-    played = mbtl_command.document(*play, "--problem", tank, "--at", "pipe=new")
+    played = mbtl_command.document(*play, "--problem", TANK, "--at", "pipe=new")
     assert list(played["all"]) == ["guided", "full", "at random"]
 
 
 @pytest.mark.parametrize(
     ("target", "more", "words"),
     [
-        ("tank.py:blind", ["--film", "a.gif"], "let make_env take render_mode=None"),
-        ("tank.py:problem", ["--gui"], "for traffic"),
-        ("tank.py:problem", ["--at", "pipe=odd"], "odd"),
+        (f"{__file__}:blind", ["--film", "a.gif"], "let make_env take render_mode=None"),
+        (TANK, ["--gui"], "for traffic"),
+        (TANK, ["--at", "pipe=odd"], "odd"),
     ],
 )
-def test_what_cannot_be_shown_says_what_would_help(mbtl_command, tank, target, more, words):
+def test_what_cannot_be_shown_says_what_would_help(mbtl_command, target, more, words):
     assert words in mbtl_command.refusal("play", target, *more)

@@ -14,15 +14,11 @@ from mbtl.zoo.cli.film import Watched
 TINY = ("--preset", "quick", "--strategy", "mbtl", "--budget", "1", "--eval-episodes", "1")
 
 
-@pytest.fixture
-def ring(mbtl_command, tmp_path):
+@pytest.mark.long
+def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, tmp_path):
     run = ("run", "ring-acc", *TINY, "--episodes", "10", "--study", "a")
     assert "The study is finished" in mbtl_command.done(*run)
-    return tmp_path / "a" / "portfolio"
-
-
-@pytest.mark.long
-def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, ring, tmp_path):
+    ring = tmp_path / "a" / "portfolio"
     portfolio = load_portfolio(ring)
     assert np.isfinite(portfolio.returns).all()
     assert 0.0 < portfolio.value < 1.0

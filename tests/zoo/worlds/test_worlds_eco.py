@@ -131,14 +131,6 @@ def test_advised_speeds_do_what_the_accelerations_of_their_law_do(twin):
 # ---- what it is taught by ------------------------------------------------------------------------
 
 
-CONTEXT = {"green": 20.0}
-
-
-@pytest.fixture(scope="module")
-def cmdp():
-    return get_cmdp("eco-green", engine="jax")
-
-
 @pytest.mark.parametrize("speed", [3.5, 7.0, 14.0])
 def test_speeds_of_a_trip_add_up_to_its_length_so_the_papers_reward_hardly_asks_for_them(speed):
     steps = int(490.0 / (0.5 * speed))
@@ -157,8 +149,8 @@ def test_a_platoon_is_an_agent_and_the_cars_behind_it_up_to_the_next_agent():
     assert float(found[2, 0]) == -6.0
 
 
-def test_each_reward_is_given_to_agents_only(cmdp):
-    twin, params = cmdp.trainer.problem([CONTEXT])
+def test_each_reward_is_given_to_agents_only():
+    twin, params = get_cmdp("eco-green", engine="jax").trainer.problem([{"green": 20.0}])
     shapes = jax.eval_shape(twin.start, jnp.arange(1, dtype=jnp.uint32), params)
     state = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     speed = jnp.full_like(state.main.x, 7.0).at[2].set(0.0)
