@@ -705,7 +705,7 @@ def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
     if not (numbers and (array >= 0).all() and (array < 1e300).all() and array.any()):
         raise InvalidInput(
             f"target weights must be {n} finite numbers >= 0 with a positive sum, "
-            f"got {array.dtype} of shape {array.shape}"
+            f"got {short(weights)} of shape {array.shape}"
         )
     if abs(float(array.sum()) - 1.0) < 1e-12:  # read back from a log: keep every digit
         return array

@@ -41,7 +41,7 @@ def whole(name: str, number: Any) -> int:
         InvalidInput: it is none.
     """
     try:
-        if isinstance(number, np.ndarray):
+        if isinstance(number, (np.ndarray, bool)):
             raise TypeError
         return operator.index(number)
     except TypeError:

@@ -58,8 +58,8 @@ def test_choice_on_the_list_explains_itself():
     assert (choice.runner_up, choice.margin) == (1, 300.0)
     assert (choice.error, choice.margin_error) == (None, None)  # nobody knows, from one episode
     assert choice.explanation == (
-        "Policy 1, trained on length = 0.5 m, returned 400 (its error is unknown) when it was "
-        "evaluated here; policy 2 is 300 behind, which may be chance."
+        "Policy 1, trained on length = 0.5 m, should return about 400 (its error is unknown): it "
+        "was evaluated here; policy 2 is 300 behind, which may be chance."
     )
 
 

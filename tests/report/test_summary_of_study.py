@@ -57,6 +57,25 @@ def test_fresh_episodes_are_the_headline_when_measured():
     assert "estimated" not in said  # one V is said
 
 
+def test_what_is_served_worst_is_chosen_by_other_episodes_than_those_that_say_how_badly():
+    study = study_of(2)  # at 9 and 19: context 0 is believed to be worst
+    served = study.routing.served[:, None].copy()
+    served[5] = 0.1  # bad luck, or unknown before
+    study.record_fresh_returns(served, served, best_single=0)
+    summary = summarise_study(study)
+    assert (summary.worst_context, summary.worst_context_value) == (0, pytest.approx(0.72))
+    assert summary.worst_tenth == pytest.approx((0.72 + 0.74) / 2)
+    assert summary.served[5] == 0.1
+
+
+def test_with_a_risk_v_is_said_to_be_of_the_worst_contexts():
+    study = study_of(2, risk=0.1, episodes=3)
+    said = " ".join(lines(summarise_study(study), SPACE))
+    assert "the mean over the worst 10% of the contexts, estimated" in said
+    assert "Served worst, as far as is known: worst context, x = 0 m, at 0.7200." in said
+    assert "worst-served tenth" not in said
+
+
 def test_fresh_intervals_are_of_independent_contexts_and_paired_between_policies():
     """By hand: two episodes of every context, whose luck both policies share."""
     study = study_of(2, episodes=2)

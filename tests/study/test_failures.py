@@ -12,7 +12,7 @@ from line_problem import line
 from flat import created, ran
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
-from mbtl.study import Callback
+from mbtl.study import Callback, Failures
 from mbtl.trainers import Trained, Trainer
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
@@ -175,6 +175,33 @@ def test_an_evaluation_that_fails_twice_waits_for_the_next_run(tmp_path, saves):
     assert study.is_finished
     assert len(trainer.trained) == len(study.state.rows) == 5
     assert not study.untold
+
+
+@pytest.mark.parametrize("saves", [True, False])
+def test_a_policy_that_no_evaluation_survives_is_trained_again_on_request(tmp_path, saves):
+    """Another seed gives another policy, and until somebody asks the first one is kept."""
+    trainer, bad = Bench(saves=saves), []
+
+    def evaluate(count, contexts):
+        policy = trainer.evaluated[-1][0]
+        if count == 2 and not bad:
+            bad.append(policy)
+        return np.full(len(contexts), np.nan) if bad == [policy] else None
+
+    trainer.breaks["evaluate"] = evaluate
+    study = study_in(tmp_path).run(trainer=trainer, report=False).study
+    for again in range(2):  # nothing is trained, and nothing is over
+        assert list(study.state.deferred) == [1]
+        assert len(trainer.trained) == 5
+        study.run(trainer=trainer, report=False)
+    trainer.breaks["evaluate"] = None
+    before = study.state.picks[1]
+    study.run(trainer=trainer, failures=Failures(retry_failed=True), report=False)
+    assert trainer.trained[5:] == [SPACE.context(before.source)["x"]]
+    assert (study.state.picks[1].retries, before.retries) == (1, 0)
+    assert study.is_finished
+    assert len(study.state.rows) == 5
+    assert not study.state.deferred
 
 
 def test_a_policy_that_cannot_be_read_back_is_not_trained_again(tmp_path):

@@ -44,6 +44,15 @@ def test_a_study_loaded_again_goes_on_the_same(tmp_path):
     assert np.array_equal(resumed.curve, undisturbed.curve)
 
 
+def test_going_on_without_a_name_finds_the_only_study_of_a_file_and_no_other(tmp_path):
+    again = {"budget": 6, "storage": tmp_path / "study.db", "load_if_exists": True}
+    first = created(SPACE, name="mine", **again)
+    assert created(SPACE, **again).name == "mine"
+    created(SPACE, name="theirs", **again)
+    assert created(SPACE, **again).name == "study"
+    assert first.name == "mine"
+
+
 def test_a_budget_of_trainings_or_of_cost_ends_the_study():
     study = told(new(budget=3), row, 3)
     assert study.is_finished
@@ -298,6 +307,8 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
         ({"budget": 0}, "budget must be 1 or more units"),
         ({"budget": 21, "strategy": "mbtl"}, "budget must be from 1"),
         ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
+        ({"budget": True}, "budget must be a whole number, got True"),
+        ({"best_return": -1.0}, "performance 0 or less"),
         ({"seed": -1}, ">= 0"),
         ({"seed": "a"}, "seed must be a whole number"),
         ({"strategy": "mbtll"}, "Did you mean 'mbtl'"),
@@ -324,6 +335,7 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
         ({"cost_budget": float("inf")}, "total of Cost is a finite number > 0"),
         ({"costs": [1.0, 2.0], "cost_budget": 9.0}, "one per context, got"),
         ({"costs": np.zeros(N), "cost_budget": 9.0}, "20 numbers from 1e-30"),
+        ({"costs": [1.0] * 19 + [np.nan], "cost_budget": 9.0}, "got nan for x = 1"),
         ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
         ({"costs": [1e-200, 1e200] + [1.0] * 18, "cost_budget": 9.0}, "from 1e-30 to 1e\\+30"),
         ({"eval_targets": 0}, "evaluated on 1 to 20 targets, got 0"),
@@ -365,6 +377,9 @@ def test_a_study_ends_where_v_is_as_large_as_it_can_be():
     unasked = study_of(strategy="mbtl")
     tell(unasked, 500.0)
     assert unasked.stop_reason is None
+    wrong = study_of(stop_left=0.005, best_return=300.0, strategy="mbtl")
+    tell(wrong, 400.0)  # more than there can be
+    assert wrong.stop_reason is None
 
 
 def test_a_study_goes_on_while_other_contexts_promise_something():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.trainers.contract import FunctionTrainer, Trained, Trainer, refusal
 
 ONE, TWO = [{"x": 1.0}], [{"x": 1.0}, {"x": 2.0}]
@@ -50,6 +50,27 @@ def test_going_on_is_asked_for_what_is_missing():
     assert gone_on == ([1.0], 7, "policy", 0.75, None)
     there = trainer.train(ONE, 7, start="policy", done=0.5, length=0.5)
     assert there == Trained("policy")
+
+
+@pytest.mark.parametrize("functions", [(None, len), (everything, None), ("train", len)])
+def test_what_is_no_function_is_refused_before_anything_is_trained(functions):
+    with pytest.raises(InvalidInput, match="must be a function, got"):
+        FunctionTrainer(*functions)
+
+
+def test_a_policy_that_cannot_be_copied_says_so_and_what_would_help():
+    with pytest.raises(TrainingFailed, match=r"cannot be copied \(.*give save and load functions"):
+        of(everything).train(ONE, 7, start=(x for x in ()))
+
+
+@pytest.mark.parametrize(
+    ("returns", "words"),
+    [(None, "None; does the function return"), (["a"], "real numbers"), ([[1], [1, 2]], "one len")],
+)
+def test_returns_are_judged_as_they_were_given(returns, words):
+    trainer = FunctionTrainer(everything, lambda policy, contexts: returns)
+    with pytest.raises(TrainingFailed, match=words):
+        trainer.evaluate(0, TWO, [1, 2])
 
 
 def test_a_function_may_change_its_start_in_its_place():

@@ -55,9 +55,10 @@ def adapt(
     length = 1.0
     if steps is not None:
         if trainer.whole is None or trainer.counts != "steps":
+            what = "nothing" if trainer.whole is None else trainer.counts
             raise InvalidInput(
-                f"--steps is for trainers that count them, got one that counts {trainer.counts}; "
-                "leave it out for one whole training"
+                f"--steps is for trainers that count them, got one that counts {what}; leave it "
+                "out for one whole training"
             )
         length = steps_of(steps) / trainer.whole
     with console.status("training"):

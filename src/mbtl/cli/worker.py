@@ -107,7 +107,7 @@ def check_evaluated(study: Study) -> None:
         raise TrainingFailed(
             f"{count} {'policy is' if count == 1 else 'policies are'} trained and could not be "
             "evaluated (`mbtl study show` says why); mend the cause, then run the same command "
-            "again: nothing is trained twice"
+            "again: nothing is trained twice (with `mbtl run --retry-failed`, these are)"
         )
 
 

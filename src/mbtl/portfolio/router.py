@@ -188,7 +188,7 @@ class Choice:
         """The same in one sentence."""
         said = f"{self.predicted_return:.6g}{_bar(self.error)}"
         how = {
-            "observed": f"returned {said} when it was evaluated here",
+            "observed": f"should return about {said}: it was evaluated here",
             "predicted": f"should return about {said}: it was not evaluated here, the transfer "
             "model predicts it",
             "interpolated": f"should return about {said}, judging by the nearest listed contexts",

@@ -105,9 +105,12 @@ def _choice(subjects: Sequence[Subject]) -> str:
 def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     """All of one subject, of which only the first is shown at once."""
     told, space = len(subject.history), subject.space
-    other = told and subject.units[-1] != told
-    units = f", {subject.units[-1]:g} units" if other else ""
-    facts = f"{subject.selector}, {told} trainings{units}, {space.n} contexts"
+    unasked = sum(pick.place is not None and pick.number is None for pick in subject.picks)
+    units = subject.units[-1] - unasked if told else 0.0
+    facts = f"{subject.selector}, {told - unasked} trainings"
+    facts += f", {units:g} units" if told and units != told - unasked else ""
+    facts += f", {unasked} policies told unasked" if unasked else ""
+    facts += f", {space.n} contexts"
     if subject.kind == "study":
         facts += ", finished" if subject.finished else ", under way"
     parts = [
@@ -184,7 +187,7 @@ def _badly_served(subject: Subject) -> str:
             _number(float(served[i])),
             *("–" if values[i] != values[i] else f"{values[i]:.4g}" for _, values in score),
         ]
-        for i in np.argsort(served, kind="stable")[:_WORST]
+        for i in np.argsort(routing.served, kind="stable")[:_WORST]  # fresh luck chooses nothing
     ]
     table = _table(["context", "served by", "performance", *(head for head, _ in score)], rows)
     return f"<section><h2>Served worst</h2>{table}</section>"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.objective import Bounds, value, worst_share_mean
+from mbtl.objective import Bounds, value, worst_share_mean, worst_share_weights
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.study import Study, Training
 from mbtl.study.closing_report import Baseline, fresh_value
@@ -58,10 +58,11 @@ class StudySummary:
         fresh_margin: half its 95 % interval; None where unknown.
         fresh_episodes: how many fresh episodes a context was played; None where not measured.
         fresh_contexts: how many contexts were played, drawn by chance; None likewise.
-        worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
-            on fresh episodes where there are any, else as believed.
-        worst_context: the one served worst of all, on the same episodes.
-        worst_context_value: the performance there.
+        risk: share of the contexts, the worst of them, that V is the mean of.
+        worst_tenth: mean performance of the tenth of the contexts, by weight, that are believed to
+            be served worst; on fresh episodes, which did not choose them, where there are any.
+        worst_context: the one believed to be served worst of all.
+        worst_context_value: the performance there, by the same episodes.
         best_single: place of the best single policy among those told.
         best_single_value: its own V.
         single_gain: V less that; both on fresh episodes where there are any.
@@ -102,6 +103,7 @@ class StudySummary:
     fresh_margin: float | None
     fresh_episodes: int | None
     fresh_contexts: int | None
+    risk: float
     worst_tenth: float | None
     worst_context: int | None
     worst_context_value: float | None
@@ -208,6 +210,7 @@ def summarise_study(study: Study) -> StudySummary:
         "size": study.spec.size,
         "spent": state.spent_words(),
         "n_contexts": space.n,
+        "risk": study.spec.risk,
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
@@ -233,7 +236,9 @@ def summarise_study(study: Study) -> StudySummary:
         best_single, served, v = fresh.best_single, fresh.served, fresh.value
         gain, gain_margin = fresh.gain, fresh.gain_margin
     others = routing.believed.max(axis=0) - routing.believed[best_single]
-    worst, evaluated = int(served.argmin()), [int(np.isfinite(row).sum()) for row in history.rows]
+    worst = int(routing.served.argmin())
+    tenth = worst_share_weights(routing.served, weights, TENTH)
+    evaluated = [int(np.isfinite(row).sum()) for row in history.rows]
     counts = [row.episodes for row in state.rows]
     return StudySummary(
         **common,
@@ -247,7 +252,7 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_margin=None if fresh is None else fresh.margin,
         fresh_episodes=None if fresh is None else fresh.episodes,
         fresh_contexts=None if fresh is None else fresh.contexts,
-        worst_tenth=float(worst_share_mean(served, weights, TENTH)),
+        worst_tenth=float(tenth @ served),
         worst_context=worst,
         worst_context_value=float(served[worst]),
         best_single=int(best_single),

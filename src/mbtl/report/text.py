@@ -70,11 +70,14 @@ def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:
     out = [summary.worth_it] if summary.worth_it else []
     out.append(summary.verdict)
     if summary.worst_tenth is not None:
-        sentence = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
-        if summary.worst_context is not None and summary.worst_context_value is not None:
-            where = space.describe(space.context(summary.worst_context))
-            sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
-        out.append(f"{sentence}.")
+        assert summary.worst_context is not None
+        where = space.describe(space.context(summary.worst_context))
+        worst = f"the worst context, {where}, at {summary.worst_context_value:.4f}"
+        if summary.risk == 1.0:
+            tenth = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
+            out.append(f"{tenth}; {worst}.")
+        else:  # V is of the worst ones, whichever they are
+            out.append(f"Served worst, as far as is known: {worst.removeprefix('the ')}.")
     if summary.behind:
         place, who = summary.behind[0]
         out.append(
@@ -105,6 +108,8 @@ def estimate(summary: StudySummary) -> list[str]:
         return []
     v = _with_margin(summary.value, summary.value_margin)
     how = f"estimated from the episodes that chose the policies{_extrapolated(summary.measured)}"
+    if summary.risk < 1.0:
+        how = f"the mean over the worst {summary.risk:.0%} of the contexts, {how}"
     return [f"V = {v}, {how}."]
 
 

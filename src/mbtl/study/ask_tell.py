@@ -265,12 +265,15 @@ class AskTell:
                 is your own, or of somebody you trust.
 
         Raises:
+            StudyError: no row was told.
             StorageError: a policy's folder is not inside the study's, or is reached by a link, or
                 a policy is not the one that was told.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
+        if not rows:
+            raise StudyError("a portfolio needs the row of at least one policy, and none was told")
         folders = [
             self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
@@ -398,16 +401,17 @@ class AskTell:
         training_state: Artifact | None = None,
         evaluation_steps: float | None = None,
     ) -> bool:
-        """Record the transfer row of one trained policy, or further entries of one.
+        """Record the transfer row of one trained policy.
 
         Args:
-            pick: what `ask` gave, or the context (or its index) of a policy you already have, or
-                all of them, of one trained on several; rows that nobody asked for do not count
-                towards the budget.
+            pick: what `ask` gave (of one that evaluates only: further entries of a row), or the
+                context (or its index) of a policy you already have, or all of them, of one trained
+                on several; rows that nobody asked for do not count towards the budget.
             returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units. NaN is
                 an episode that has none, and counts as not played.
             targets: T indices of the contexts evaluated on; None: those that the pick asks for,
-                which are all N unless the study was made with `eval_targets`.
+                which are all N unless the study was made with `Evaluation(targets)`. What is left
+                out is predicted, and cannot be told later.
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
@@ -557,7 +561,8 @@ class AskTell:
     def retry(self, pick: Pick | int) -> None:
         """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
 
-        Its seed is another one, since with its own it might fail again.
+        Its seed is another one, since with its own it might fail again. Likewise for one whose
+        policy is trained and could not be evaluated: that policy is given up.
 
         Args:
             pick: what `ask` gave, or its 0-based number (`Pick.number`).
@@ -567,7 +572,8 @@ class AskTell:
         """
         if not isinstance(pick, Pick):
             pick = whole("the number of a pick", pick)
-        self._commit(lambda state: tell.reopening(state, pick))
+        event = self._commit(lambda state: tell.reopening(state, pick))
+        self.untold.pop(event.data["pick"], None)
 
     def equip(self, trainer: Trainer, *, accept_changes: bool = False) -> None:
         """Record what the policies of this study are made with, or check that it is the same.

@@ -376,11 +376,10 @@ class Batches:
         self._announce("on_lost", pick)
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
-        then = "run again: the policy is kept and only evaluated"
+        again = "with Failures(retry_failed=True) (--retry-failed)"
+        then = f"run again: the policy is kept and only evaluated; {again} it is trained again"
         if trouble.kept is None:
-            then = (
-                "run again, with Failures(retry_failed=True) (--retry-failed) to train there again"
-            )
+            then = f"run again, {again} to train there again"
         elif trouble.stage == "loading" and trouble.kept.artifact is not None:
             place = trouble.kept.artifact.place
             then = f"run again, or remove {place} to have the policy trained again"

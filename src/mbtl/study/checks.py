@@ -146,6 +146,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
             return "steps" not in event.data
         return steps is None if now is None else is_whole(steps) and bool(steps > now)
 
+    failed = {failure.pick for failure in state.failures}
     index, told = number(lambda i: i < n), number(lambda i: state.place_of(i) >= 0)
     one_open = number(lambda i: i in state.open_picks)
     next_or_open = number(lambda i: i in state.open_picks or i == asked)
@@ -203,7 +204,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         },
         "failed": failure,
         "deferred": failure,
-        "reopened": {"pick": number(lambda i: any(one.pick == i for one in state.failures))},
+        "reopened": {"pick": number(lambda i: i in state.deferred or i in failed)},
         "stopped": {"reason": is_text},
         "reported": {
             "episodes": is_count,

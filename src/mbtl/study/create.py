@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
+from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
 from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
 from mbtl.selectors import Selector
@@ -21,14 +23,14 @@ from mbtl.strategies import get_strategy, strategy_names
 from mbtl.study.artifacts import policy_store
 from mbtl.study.budget import Cost, Steps
 from mbtl.study.checks import replay
-from mbtl.study.database import fixed_url, shown
+from mbtl.study.database import database_file, fixed_url, shown
 from mbtl.study.events import Event
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.problem import Beside, Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec, check_spec
 from mbtl.study.state import StudyState
-from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, study_names
 from mbtl.study.study import Study
 from mbtl.trainers.contract import Trainer
 from mbtl.version import __version__
@@ -78,7 +80,7 @@ def create_study(
     stopping: Stopping | None = None,
     storage: str | Path | None = None,
     artifacts: str | Path | None = None,
-    name: str = "study",
+    name: str | None = None,
     seed: int = 0,
     load_if_exists: bool = False,
 ) -> Study:
@@ -97,7 +99,8 @@ def create_study(
         artifacts: folder that policies are saved below, or a URL that fsspec can write to, such as
             "s3://bucket/studies"; None: the folder of the database, where that is a file. Give it
             again to `load_study`.
-        name: name of the study within its storage.
+        name: name of the study within its storage; None: "study", or with `load_if_exists` that of
+            the only one in a file, as `mbtl run` makes one.
         seed: root of the seed tree.
         load_if_exists: go on with a study of this name and settings. A larger budget raises that of
             the study, which goes on even if it was finished, and so does `stopping` without `left`
@@ -125,6 +128,7 @@ def create_study(
         _ = spec.selection_problem().line  # refuses several
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
+    name = _usual_name(address if load_if_exists else None) if name is None else name
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     known: dict[str, Any] = {"trainer": facts.trainer, "beside": facts.beside}
@@ -144,6 +148,15 @@ def create_study(
             study.spend_all()
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
+
+
+def _usual_name(address: str | None) -> str:
+    """Of a study that has none: that of the only one in a file, so that it is found again."""
+    file = None if address is None else database_file(address)
+    names: list[str] = []
+    with suppress(StorageError):  # opening it says what is wrong
+        names = study_names(str(address)) if file is not None and file.is_file() else []
+    return names[0] if len(names) == 1 else "study"
 
 
 def _given(name: str, given: Any, usual: Any, *kinds: type) -> Any:
@@ -184,9 +197,14 @@ def _spec(
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
     pair = _pair_of("bounds", bounds)
-    if pair is not None:
-        Bounds(*pair, direction, floor)
     best = facts.best_return if aim.best_return is None else aim.best_return
+    best = finite("best_return", best)
+    limits = None if pair is None else Bounds(*pair, direction, floor)
+    if limits is not None and best is not None and limits.normalise(best) <= 0.0:
+        raise InvalidInput(
+            f"no return is better than best_return, got {best:g}, which is performance 0 or less "
+            f"by the bounds {pair}"
+        )
     _check_stopping(end, pair)
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
@@ -209,7 +227,7 @@ def _spec(
         None if targets is None else whole("targets of Evaluation", targets),
         real("confidence of Stopping", end.confidence),
         real("left of Stopping", end.left),
-        finite("best_return", best),
+        best,
         floor,
         any_training,
         **counted,
@@ -346,6 +364,11 @@ def _costs_of(
         raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
     if array.shape != (space.n,):
         raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
+    for i in np.flatnonzero(~np.isfinite(array)):
+        raise InvalidInput(
+            f"the cost of a training (per_context of Cost) is a finite number, got {array[i]:g} "
+            f"for {space.describe(space.context(int(i)))}"
+        )
     return tuple(array.tolist())
 
 

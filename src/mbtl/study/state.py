@@ -502,6 +502,8 @@ class StudyState:
     def _reopened(self, event: Event) -> None:
         number = event.data["pick"]
         self.failures = [failure for failure in self.failures if failure.pick != number]
+        if (trained := self.deferred.pop(number, None)) is not None:  # and is trained once more
+            self.lost_steps += self._own_steps(self.picks[number], trained.steps)
         self._open_again(number)
 
     def _open_again(self, number: int) -> None:

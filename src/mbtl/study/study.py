@@ -81,7 +81,8 @@ class Failures:
         retries: so often a training that failed is begun again, each time with another seed, before
             it counts as failed. One whose worker process died is begun again once in any case, as
             it was.
-        retry_failed: train again where trainings of former runs failed; see `Study.retry`.
+        retry_failed: train again where trainings of former runs failed, or gave policies that
+            cannot be evaluated; see `Study.retry`.
         rehearse: evaluate an untrained policy on two contexts before the first training, where the
             trainer can make one; else the first policy on two contexts before all others.
 
@@ -455,9 +456,8 @@ def run(
             again = failures.retry_failed
             if study.state.equipment is not None or again or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
-            for failed in list(study.refresh().failures) if again else []:
-                if not failed.pruned:
-                    study.retry(failed.pick)
+            for number in to_train_again(study) if again else []:
+                study.retry(number)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
@@ -491,6 +491,13 @@ def run(
         study.stopping or study.stop_reason,
         time.monotonic() - started,
     )
+
+
+def to_train_again(study: Study) -> list[int]:
+    """Picks that failed, and those nobody works on whose policies could not be evaluated."""
+    state = study.refresh()
+    unusable = sorted(state.deferred.keys() & set(study.orphans))
+    return [one.pick for one in state.failures if not one.pruned] + unusable
 
 
 def _listed(callbacks: Any) -> Sequence[Callback]:

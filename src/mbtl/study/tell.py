@@ -132,8 +132,10 @@ def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...
 
 
 def reopening(state: StudyState, pick: Pick | int) -> Event:
-    """The event that opens a failed pick again."""
+    """The event that opens a failed pick again, or one whose policy could not be evaluated."""
     number = pick.number if isinstance(pick, Pick) else int(pick)
+    if number in state.deferred:
+        return Event("reopened", {"pick": number})
     failed = next((f for f in state.failures if f.pick == number), None)
     if failed is None:
         raise StudyError(

@@ -24,7 +24,8 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.episodes import episode_moments
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
-from mbtl.plain import LARGEST, floats, refused
+from mbtl.faults import FAULTS, reason_of
+from mbtl.plain import LARGEST, floats, refused, short
 from mbtl.score import SCORE
 from mbtl.settings import described, described_code
 
@@ -308,8 +309,9 @@ class FunctionTrainer:
 
     `contexts` is a list of one or more, `start` a copy of a policy to begin with, `length` how much
     more to train, in units of a whole training (None: a whole one), and `on_progress` is told a
-    `Progress` now and then. Going on begins with the latest policy: what that does not hold, such
-    as the state of an optimiser, begins anew.
+    `Progress` now and then. They go by their names, which `**kwargs` does not have. Going on
+    begins with the latest policy: what that does not hold, such as the state of an optimiser,
+    begins anew.
 
     Every context has a seed of its own, the same for every policy: luck that all contexts share
     would not average out in V. Where `evaluate` names its third argument `seed` it is called once
@@ -334,6 +336,9 @@ class FunctionTrainer:
     counts: ClassVar[Literal["steps", "episodes"]] = "steps"
 
     def __post_init__(self) -> None:
+        for name, function in (("train", self.train_fn), ("evaluate", self.evaluate_fn)):
+            if not callable(function):
+                raise InvalidInput(f"{name} must be a function, got {short(function)}")
         if (self.save_fn is None) != (self.load_fn is None):
             raise InvalidInput(
                 "save and load come together, got only one of them; give both or neither"
@@ -394,7 +399,13 @@ class FunctionTrainer:
     def _copied(self, policy: Any) -> Any:
         """What a function may go on training in its place: as it would be read back, if it can."""
         if self.save_fn is None:
-            return deepcopy(policy)
+            try:
+                return deepcopy(policy)
+            except FAULTS as error:
+                raise TrainingFailed(
+                    "a training begins with a copy of a policy, and this one cannot be copied "
+                    f"({reason_of(error)}); give save and load functions"
+                ) from error
         with TemporaryDirectory() as folder:
             self.save(policy, Path(folder))
             return self.load(Path(folder))
@@ -437,7 +448,10 @@ class FunctionTrainer:
             return self._named(found)
 
         if takes is None or takes.name != "seed":
-            return {name: floats(rows) for name, rows in returns(contexts, seeds).items()}
+            found = returns(contexts, seeds)
+            named = [str(dict(context)) for context in contexts].__getitem__
+            checked_returns(found[SCORE], len(contexts), named, gaps=True)
+            return {name: floats(rows) for name, rows in found.items()}
         each = [returns([c], seed) for c, seed in zip(contexts, seeds, strict=True)]
         for context, told in zip(contexts, each, strict=True):
             told[SCORE] = checked_returns(told[SCORE], 1, _always(context))
