@@ -44,6 +44,8 @@ BY_EPISODES = ("TRPO", "PPO", "A2C", "DQN")
 _COUNTS = ("eval_episodes", "checkpoint_episodes")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
+_JUDGED = 20
+"""Evaluations in a unit of one policy for several contexts, where the recipe keeps the best."""
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
 _SPENT, _FROM, _BRANCH, _SEED, _BEFORE = "spent", "from", "branch", "seed", "before"
@@ -243,7 +245,9 @@ class WorldTrainer:
         A whole training on one context follows the recipe, which may say that the best of periodic
         evaluations counts. A training of a given `length`, and one on several contexts, has a
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
-        (`mbtl.engine.learners.growing`); it has the latest weights and does not evaluate itself.
+        (`mbtl.engine.learners.growing`). It has the latest weights and does not evaluate itself,
+        but that on several contexts by a recipe that counts episodes and keeps the best: twenty
+        times a unit each context is played once.
         Where it begins with the policy of another one, whose state is there, it inherits the
         latter's critic, optimiser, statistics and learning rate, and its actor before it was
         finished; else the critic, which no policy carries, begins anew.
@@ -427,7 +431,10 @@ class WorldTrainer:
             recipe = engine.of_several(recipe, world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
-        return engine.Growing(world, recipe, list(seeds), spread, whole)
+        keeps_best = n > 1 and self.episodes is not None and self.checkpoint == "best"
+        judged = -(-whole // _JUDGED) if keeps_best else 0
+        growing = engine.Growing(world, recipe, list(seeds), spread, whole)
+        return growing._replace(judged=judged, acting=self.how)
 
     def _begun(self, world: Any, recipe: Any, start: Any) -> tuple[Any, Any]:
         """The recipe for layers as wide as those of `start`, and its weights; or None."""

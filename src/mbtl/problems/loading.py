@@ -19,7 +19,7 @@ def get_cmdp(id: str, **switches: Any) -> CMDP:
     """A CMDP by id.
 
     Args:
-        id: e.g. "cartpole-length"; `cmdp_ids()` lists them.
+        id: e.g. "cartpole-length"; `mbtl.problems.cmdp_ids()` lists them.
         **switches: such as `visibility` or `engine`: see `mbtl.zoo.cmdps.get_cmdp`.
 
     Raises:

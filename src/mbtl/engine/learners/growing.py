@@ -13,11 +13,12 @@ Notation (shapes): P trainings, leading axis.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Training, copied
 from mbtl.engine.learners.clock import Pace
+from mbtl.engine.learners.episodic.episodes import Acting
 from mbtl.engine.learners.export import export_policies
 from mbtl.engine.learners.loop import start, train
 from mbtl.engine.learners.networks import Weights
@@ -51,6 +52,9 @@ class Growing(NamedTuple):
         params: of the P contexts, or sets of contexts.
         whole: updates of one unit, within a share of which exploration falls.
         before: updates of the trainings that these are tuned from (docs/decisions.md).
+        judged: updates between two evaluations, on each of the contexts once, of which the best one
+            is the policy; 0: the latest weights are.
+        acting: how actions are chosen there.
     """
 
     world: World
@@ -59,6 +63,8 @@ class Growing(NamedTuple):
     params: Tree
     whole: int
     before: int = 0
+    judged: int = 0
+    acting: Acting = "mean"
 
     def start(self, weights: Weights | None = None) -> Training:
         """Before the first update, from these weights or from scratch."""
@@ -79,13 +85,15 @@ class Growing(NamedTuple):
     ) -> Weights:
         """Weights at the end of a branch of so many updates; the trunk stays as it is.
 
+        The best ones so far, where they are judged.
+
         Raises:
             TrainingFailed: weights are no longer finite.
         """
         begin = int(trunk.updates)
         pace = self._endless.branch(begin, begin + max(branch, 1))
-        weights: Weights = self._learn(copied(trunk), begin + branch, pace, on_block).state.weights
-        return weights
+        ended = self._learn(copied(trunk), begin + branch, pace, on_block)
+        return cast(Weights, ended.best if self.judged else ended.state.weights)
 
     @property
     def _endless(self) -> Pace:
@@ -99,15 +107,18 @@ class Growing(NamedTuple):
         self, training: Training, until: int, pace: Pace, on_block: Callable[[Block], None] | None
     ) -> Training:
         n_contexts = self.params.visible.shape[1] if self.params.visible.ndim == 3 else 1
+        unit = self.recipe.update_length
         return train(
             self.world,
             self.recipe,
             self.seeds,
             self.params,
-            until * self.recipe.update_length,
+            until * unit,
             on_block=on_block,
+            checkpoint_every=self.judged * unit or None,
             checkpoint_episodes=n_contexts,
+            acting=self.acting,
             resume=training,
-            judging=False,
+            judging=self.judged > 0,
             pace=pace,
         )

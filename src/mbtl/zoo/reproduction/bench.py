@@ -157,7 +157,7 @@ def case_of(
         matrix: of that set.
         baselines: multi-task baselines of the CMDP; those of another problem are left out.
         budget: trainings K; at most M are done.
-        transfers: trainings of every kind, if there are.
+        transfers: trainings of every kind, if there are; likewise.
     """
     m = len(matrix.problem(1).sources)
     k = min(budget, m)
@@ -207,7 +207,7 @@ def case_of(
             if same_problem(found, matrix, variant)
         },
         {}
-        if transfers is None
+        if transfers is None or not same_problem(transfers, matrix, variant)
         else {
             units: transfers.bounds.normalise(rows[:, 1]) @ weights
             for units, rows in transfers.generalists.items()
@@ -217,8 +217,12 @@ def case_of(
     )
 
 
-def same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
+def same_problem(
+    baseline: MultiTask | TransferData, matrix: TransferMatrix, variant: str
+) -> bool:
     """Whether both were trained with the same switches, in the same simulator of the same version.
+
+    So they have the same score: signals and eco-driving have several.
 
     Where policies see no context by default, one for all contexts is told which one it is in.
     """
