@@ -98,3 +98,28 @@ def test_what_cannot_be_trained_on_a_set_is_refused():
     assert "sets" not in other.takes
     with pytest.raises(InvalidInput, match="learn by PPO, got a recipe of DQN"):
         other.train(CONTEXTS, 3)
+
+
+def test_the_best_of_its_evaluations_is_the_policy_and_they_do_not_disturb_it():
+    plain, seen = TRAINER._growing([CONTEXTS], [3]), []
+    judged = plain._replace(judged=1)
+
+    def on_block(block):
+        (policy,) = judged.policies(block.training.state.weights)
+        seen.append((float(block.training.latest_return[0]), policy))
+
+    trunk = judged.along(judged.start(), 3, on_block)
+    (found,) = judged.policies(judged.end(trunk, 2, on_block))
+    assert len(seen) == 5
+    assert same_policy(found, max(seen, key=lambda one: one[0])[1])  # the earliest of equals
+    alone = plain.along(plain.start(), 3)
+    assert same_policy(*(plain.policies(one.state.weights)[0] for one in (alone, trunk)))
+
+
+def test_only_recipes_by_episodes_that_keep_the_best_judge_one_policy_for_all():
+    ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
+    sets = [{"hold": 5.0}, {"hold": 10.0}]
+    assert ring._growing([sets], [0]).judged > 0
+    for trainer, some in ((ring, sets[:1]), (replace(ring, checkpoint="final"), sets)):
+        assert trainer._growing([some], [0]).judged == 0
+    assert TRAINER._growing([CONTEXTS], [0]).judged == 0
