@@ -69,7 +69,10 @@ def check_cmdp(
         if alone is not None and alone(problem.space.context(0)) is not None:
             make_env = alone
         if make_env is None:
-            unseen = "it has none, so its dynamics cannot be looked into"
+            unseen = (
+                "it has none, so its dynamics cannot be looked into, and nothing is trained or "
+                "evaluated here; a study tries its first policy on two contexts"
+            )
             checks.append(Check("environment", "warning", unseen))
             return CheckReport(problem.id, tuple(checks))
         base = problem.nominal if nominal is None else nominal
