@@ -190,7 +190,7 @@ def test_a_policy_that_no_evaluation_survives_is_trained_again_on_request(tmp_pa
 
     trainer.breaks["evaluate"] = evaluate
     study = study_in(tmp_path).run(trainer=trainer, report=False).study
-    for again in range(2):  # nothing is trained, and nothing is over
+    for _ in range(2):  # nothing is trained, and nothing is over
         assert list(study.state.deferred) == [1]
         assert len(trainer.trained) == 5
         study.run(trainer=trainer, report=False)
