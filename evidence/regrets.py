@@ -255,6 +255,9 @@ def main() -> None:
                 "share": table.share(value).round(3),
                 "oracle": table.share(upper).round(3),
                 "rival": best,
+                "value": value.mean(0),
+                "paper": table.rivals["mbtl"].mean(0),
+                "every": table.high.mean(),
             }
         print(name, file=sys.stderr, flush=True)
     for label, rows in found.items():
@@ -292,6 +295,23 @@ def total(rows: Mapping[str, Mapping[str, Any]]) -> None:
         f"{np.median(above[:, 2]):.2f}, {np.median(above[:, -1]):.2f}); at 15 above Oracle "
         f"Transfer on {(shares[:, -1] > 1.0).sum()}"
     )
+    value, paper, every = (np.array([r[k] for r in rows.values()]) for k in _COMPARED)
+    for units in _AT:
+        own = value[:, units - 1]
+        print(
+            f"{units} units: V {own.mean():.3f}; less mbtl {_paired(own - paper[:, units - 1])}; "
+            f"less all specialists {_paired(own - every)}"
+        )
+
+
+_COMPARED, _AT = ("value", "paper", "every"), (1, 2, 3, 5, 8, 15)
+
+
+def _paired(lead: Array) -> str:
+    """Mean, its standard error over CMDPs, and on how many it is more than .01 either way."""
+    error = lead.std(ddof=1) / len(lead) ** 0.5 if len(lead) > 1 else 0.0
+    ahead, behind = (lead > 0.01).sum(), (lead < -0.01).sum()
+    return f"{lead.mean():+.3f} ± {error:.3f}, ahead on {ahead}, behind on {behind}"
 
 
 if __name__ == "__main__":
