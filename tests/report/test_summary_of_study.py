@@ -72,7 +72,7 @@ def test_with_a_risk_v_is_said_to_be_of_the_worst_contexts():
     study = study_of(2, risk=0.1, episodes=3)
     said = " ".join(lines(summarise_study(study), SPACE))
     assert "the mean over the worst 10% of the contexts, estimated" in said
-    assert "Served worst, as far as is known: worst context, x = 0 m, at 0.7200." in said
+    assert "Served worst, as far as is known: x = 0 m, at 0.7200." in said
     assert "worst-served tenth" not in said
 
 

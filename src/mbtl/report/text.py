@@ -72,12 +72,12 @@ def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:
     if summary.worst_tenth is not None:
         assert summary.worst_context is not None
         where = space.describe(space.context(summary.worst_context))
-        worst = f"the worst context, {where}, at {summary.worst_context_value:.4f}"
+        worst = f"{where}, at {summary.worst_context_value:.4f}"
         if summary.risk == 1.0:
             tenth = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
-            out.append(f"{tenth}; {worst}.")
+            out.append(f"{tenth}; the worst context, {worst}.")
         else:  # V is of the worst ones, whichever they are
-            out.append(f"Served worst, as far as is known: {worst.removeprefix('the ')}.")
+            out.append(f"Served worst, as far as is known: {worst}.")
     if summary.behind:
         place, who = summary.behind[0]
         out.append(

@@ -217,9 +217,7 @@ def case_of(
     )
 
 
-def same_problem(
-    baseline: MultiTask | TransferData, matrix: TransferMatrix, variant: str
-) -> bool:
+def same_problem(baseline: MultiTask | TransferData, matrix: TransferMatrix, variant: str) -> bool:
     """Whether both were trained with the same switches, in the same simulator of the same version.
 
     So they have the same score: signals and eco-driving have several.

@@ -38,9 +38,9 @@ _MANY = ("random", "greedy", "mbtl", "sequential_oracle")
 MARKS = (
     "Bold: the best of the first five columns, and those behind it by no more than the standard "
     "error of the differences, seed by seed; of the paper, whose seeds are not told, those whose "
-    "standard errors overlap. Multi-task: as many steps as one other training, at the best of its "
-    "evaluations; K units: the latest weights of a training that goes on, of as many steps as K "
-    "of them, or as said below; not where it has another score than the matrix."
+    "standard errors overlap. Multi-task: as many steps as one other training, whose end is known, "
+    "at the best of its evaluations; K units: a training that may always go on, of as many steps "
+    "as K of them, or as said below; not where it has another score than the matrix."
 )
 """What the tables of V mean."""
 
