@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array, uniform_weights
-from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known, unknown_name
 from mbtl.faults import harmless
 from mbtl.files import MALFORMED
 from mbtl.plain import short
@@ -300,8 +300,7 @@ def axis_from_json(record: Mapping[str, Any]) -> Axis:
     kind = record["kind"]
     if kind == "categorical":
         return Categorical(record["name"], tuple(record["choices"]), record["unit"])
-    if kind not in _NUMERIC:
-        raise unknown_name("axis kind", kind, [*_NUMERIC, "categorical"])
+    check_known("axis kind", kind, [*_NUMERIC, "categorical"])
     return _NUMERIC[kind](record["name"], record["low"], record["high"], record["unit"])
 
 
@@ -495,8 +494,7 @@ class ContextSpace:
     def values(self, axis: str) -> list[Value]:
         """(N,) values of one axis in index order."""
         names = [a.name for a in self.axes]
-        if axis not in names:
-            raise unknown_name("axis", axis, names)
+        check_known("axis", axis, names)
         return list(self._columns[names.index(axis)])
 
     def describe(self, context: Mapping[str, Value], between: str = ", ") -> str:

@@ -7,7 +7,7 @@ exits with 2); every other error means that the work itself failed (exit 1).
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 __all__ = [
     "CheckFailed",
@@ -26,6 +26,7 @@ __all__ = [
     "Unreachable",
     "UnsavedPolicies",
     "cannot_write",
+    "check_known",
     "few",
     "missing_extra",
     "unknown_name",
@@ -109,6 +110,16 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") 
     guess = f" Did you mean {near[0]!r}?" if near else ""
     where = f" {hint}" if hint else f" Known: {', '.join(names)}."
     return UnknownName(f"no {kind} is called {name!r}.{guess}{where}")
+
+
+def check_known(kind: str, name: str, known: Collection[str], *, hint: str = "") -> None:
+    """Raise `unknown_name` of the same arguments unless `name` is among the known ones.
+
+    Raises:
+        UnknownName: it is not.
+    """
+    if name not in known:
+        raise unknown_name(kind, name, known, hint=hint)
 
 
 def few(names: Sequence[str], most: int = 3) -> str:

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from mbtl.contexts import MOST, Axis, ContextSpace, Linear, Log, Value
-from mbtl.errors import InvalidInput, few, unknown_name
+from mbtl.errors import InvalidInput, check_known, few, unknown_name
 
 __all__ = ["axes_of", "pinned", "space_of"]
 
@@ -97,8 +97,7 @@ def pinned(cfg: _Config, context: Mapping[str, Value]) -> _Config:
     made = copy.deepcopy(cfg, {id(dataclasses.MISSING): dataclasses.MISSING})  # known by identity
     terms = _terms(made)
     for name, value in context.items():
-        if name not in ranges:
-            raise unknown_name("range of this config", name, ranges)
+        check_known("range of this config", name, ranges)
         ranges[name].axis.encode([value])  # raises where it lies outside
         ranges[name].pin(terms[ranges[name].term], float(value))
     return made
@@ -135,8 +134,7 @@ class _Range:
                 f"the range {self.name} needs two finite numbers, low and high (of gaussian: mean "
                 f"and deviation), got {self.pair!r}; mend it, or leave it out by `only`"
             )
-        if self.distribution not in _AXES:
-            raise unknown_name(f"distribution of {self.name}", self.distribution, _AXES)
+        check_known(f"distribution of {self.name}", self.distribution, _AXES)
         low, high = map(float, self.pair)
         if self.distribution == "gaussian":
             low, high = low - _DEVIATIONS * high, low + _DEVIATIONS * high

@@ -21,7 +21,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import episode_seeds
@@ -125,9 +125,8 @@ class WorldTrainer:
             object.__setattr__(self, name, value)
         check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         algorithms = BY_STEPS if by_steps else BY_EPISODES
-        if self.algorithm not in algorithms:
-            kind = "jax engine" if by_steps else "traffic twins"
-            raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
+        kind = "jax engine" if by_steps else "traffic twins"
+        check_known(f"algorithm of the {kind}", self.algorithm, algorithms)
 
     # ---- what it is --------------------------------------------------------------------------
 
@@ -155,8 +154,7 @@ class WorldTrainer:
         """
         named = engine.recipe_named(self.algorithm, str(self.recipe_name), self.unit)
         for name in self.hyperparameters:
-            if name not in named.record:
-                raise unknown_name(f"hyperparameter of {self.algorithm}", name, named.record)
+            check_known(f"hyperparameter of {self.algorithm}", name, named.record)
         return replace(named, **self.hyperparameters)
 
     @property

@@ -18,7 +18,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.rollout import Actor, Job, play_counted
-from mbtl.errors import unknown_name
+from mbtl.errors import check_known
 from mbtl.score import RANDOM_ACTIONS, SCORE, Score
 
 __all__ = ["ByItself", "Controller", "RandomActions", "going", "played", "ways_in", "ways_of"]
@@ -46,8 +46,7 @@ def going(
     env = make_env(context)
     known, space = (RANDOM_ACTIONS, *ways_of(env)), env.action_space
     env.close()
-    if way not in known:
-        raise unknown_name("way", way, known)
+    check_known("way", way, known)
     policy = RandomActions(space("") if callable(space) else space)
     make = make_env if way == RANDOM_ACTIONS else partial(_by_itself, make_env, way)
     return Actor(policy, sampled=True), make

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import Episodes
-from mbtl.errors import InvalidInput, StorageError, unknown_name
+from mbtl.errors import InvalidInput, StorageError, check_known
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
@@ -181,8 +181,7 @@ class Portfolio:
 
     def _inside(self, context: Mapping[str, Value], outside: str) -> Mapping[str, Value]:
         """The context, or the nearest one inside."""
-        if outside not in ("error", "nearest"):
-            raise unknown_name("way to treat a context outside", outside, ("error", "nearest"))
+        check_known("way to treat a context outside", outside, ("error", "nearest"))
         return self.space.nearest(dict(context)) if outside == "nearest" else context
 
     def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, NDArray[np.intp]]:

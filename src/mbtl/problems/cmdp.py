@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, check_known
 from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.plain import short, whole
 from mbtl.score import Score
@@ -292,8 +292,7 @@ class CMDP:
 
         known = {one.name for one in fields(SB3Trainer)}
         for name in trainer_options or {}:
-            if name not in known:
-                raise unknown_name("option of SB3Trainer", name, known)
+            check_known("option of SB3Trainer", name, known)
         trainer = SB3Trainer(
             make_env,
             timesteps=timesteps,
@@ -327,8 +326,7 @@ class CMDP:
             UnknownName: this problem has no such recipe.
         """
         name = self.default_preset if name is None else name
-        if name not in self.presets:
-            raise unknown_name(f"preset of {self.id!r}", name, self.presets)
+        check_known(f"preset of {self.id!r}", name, self.presets)
         return self.presets[name]
 
     def trainer_for(self, preset: str | None = None, **overrides: Any) -> Trainer:
@@ -462,8 +460,7 @@ class CMDP:
             )
         known = [f.name for f in dataclasses.fields(trainer) if f.init]
         for name in options:
-            if name not in known:
-                raise unknown_name(f"training option of {self.id!r}", name, known)
+            check_known(f"training option of {self.id!r}", name, known)
         changed: Any = dataclasses.replace(trainer, **options)  # type: ignore[type-var]
         return cast(Trainer, changed)
 
@@ -483,8 +480,7 @@ class CMDP:
     def _check_unit(self) -> None:
         names = [axis.name for axis in self.space.axes]
         for name, value in (self.unit or {}).items():
-            if name not in names:
-                raise unknown_name("axis", name, names)
+            check_known("axis", name, names)
             if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
                 raise ContextMismatch(
                     f"unit is the context at multiplier 1, so its values are > 0, got {value!r} "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.faults import FAULTS, load_object, reason_of
 from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
@@ -56,8 +56,7 @@ def get_selector(selector: str | Proposes) -> Selector:
         return adopted(selector)
     if is_own(selector):
         return _own(selector)
-    if selector not in _FACTORIES:
-        raise unknown_name("selector", selector, _FACTORIES)
+    check_known("selector", selector, _FACTORIES)
     return _FACTORIES[selector]()
 
 

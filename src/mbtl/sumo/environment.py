@@ -25,7 +25,7 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete
 
 from mbtl.canvas import Image
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.sumo.drawing import draw
 from mbtl.sumo.scenario import Scenario, is_green
 from mbtl.sumo.simulation import Simulation
@@ -116,8 +116,7 @@ class KeepOrGoOn:
                 "KeepOrGoOn needs a network with traffic lights, got none; give another control"
             )
         for name in lights:
-            if name not in every:
-                raise unknown_name("traffic light", name, every)
+            check_known("traffic light", name, every)
         self.lights, self.min_green = {name: every[name] for name in lights or every}, min_green
         self.lanes = sorted({lane for light in self.lights.values() for lane in light.lanes})
         size = 2 * len(self.lanes) + sum(light.phases + 1 for light in self.lights.values())
@@ -282,8 +281,7 @@ class ScenarioEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped 
 
     def follow(self, way: str) -> Step:
         """A decision of a controller of SUMO's own, one of `ways`."""
-        if way not in self.ways:
-            raise unknown_name("way", way, self.ways)
+        check_known("way", way, self.ways)
         return self.step(way)
 
     def render(self) -> Image | None:

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from mbtl.contexts import Context, ContextSpace, Value
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known, unknown_name
 
 INPUTS = ("net-file", "additional-files", "route-files")
 """Options whose files a context can change, in the order in which SUMO reads them."""
@@ -246,8 +246,7 @@ class Attribute:
     def apply(self, files: Files, value: Value) -> None:
         """See `Change`."""
         paths = {path.name: path for path in files.paths(*INPUTS)}
-        if self.file not in paths:
-            raise unknown_name("file of the scenario", self.file, paths)
+        check_known("file of the scenario", self.file, paths)
         root = files.tree(paths[self.file])
         try:
             found = root.findall(f".//{self.path}")
@@ -318,8 +317,7 @@ class TypeShare:
                 f"the share of a type needs a vTypeDistribution in the demand, got none; put "
                 f"{self.type!r} and the others into one"
             )
-        if self.type not in kinds:
-            raise unknown_name("vehicle type in a vTypeDistribution", self.type, kinds)
+        check_known("vehicle type in a vTypeDistribution", self.type, kinds)
         share = float(value)
         if not 0.0 <= share <= 1.0:
             raise InvalidInput(f"the share of a type is a number from 0 to 1, got {value!r}")

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mbtl.envs.opening import shared_well
-from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, check_known
 from mbtl.sumo.installed import check_version, library, program, why_not
 
 Engine = Literal["auto", "libsumo", "traci"]
@@ -64,8 +64,7 @@ class Simulation:
             UnknownName: another engine.
             InvalidInput: sumo-gui through libsumo, or without a screen.
         """
-        if engine not in ENGINES:
-            raise unknown_name("engine", engine, ENGINES)
+        check_known("engine", engine, ENGINES)
         if gui and engine == "libsumo":
             raise InvalidInput("sumo-gui is driven through TraCI, got engine='libsumo'; use 'auto'")
         if gui and os.name == "posix" and not _has_screen():

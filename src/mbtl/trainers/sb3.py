@@ -18,7 +18,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import played, ways_in
 from mbtl.envs.rollout import end, one_instance
-from mbtl.errors import InvalidInput, Notice, unknown_name
+from mbtl.errors import InvalidInput, Notice, check_known
 from mbtl.processes import usable_cores
 from mbtl.score import SCORE, Score
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
@@ -144,8 +144,7 @@ class SB3Trainer:
         if not callable(self.make_env):
             raise InvalidInput(f"make_env must be a function of a context, got {self.make_env!r}")
         check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
-        if self.credit not in ("own", "team"):
-            raise unknown_name("credit", self.credit, ("own", "team"))
+        check_known("credit", self.credit, ("own", "team"))
         check_name(self.algorithm)
 
     @property

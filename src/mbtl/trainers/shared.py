@@ -28,7 +28,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mbtl.envs.slots import Slots, SlotStep, is_blank
-from mbtl.errors import InvalidInput, missing_extra, unknown_name
+from mbtl.errors import InvalidInput, check_known, missing_extra
 
 try:
     from stable_baselines3.common.buffers import RolloutBuffer
@@ -74,8 +74,7 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
             InvalidInput: no simulation, or no number of slots.
             UnknownName: another credit.
         """
-        if credit not in get_args(Credit):
-            raise unknown_name("credit", credit, get_args(Credit))
+        check_known("credit", credit, get_args(Credit))
         if not make_teams:
             raise InvalidInput("a shared policy needs at least one simulation, got none")
         makers = [partial(Slots, make, slots) for make in make_teams]

@@ -40,7 +40,7 @@ from mbtl.engine.learners.recipes import (
 )
 from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import Solo, World
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 
 AnyRecipe = Recipe | TwinRecipe
 
@@ -58,10 +58,8 @@ def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecip
     """
     recipes: Mapping[str, Mapping[str, AnyRecipe]]
     recipes = TWIN_RECIPES if unit == "episodes" else RECIPES
-    if algorithm not in recipes:
-        raise unknown_name("algorithm with recipes", algorithm, recipes)
-    if name not in recipes[algorithm]:
-        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
+    check_known("algorithm with recipes", algorithm, recipes)
+    check_known(f"{algorithm} recipe", name, recipes[algorithm])
     return recipes[algorithm][name]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, get_args
 
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 
 Activation = Literal["tanh", "relu", "mish"]
 
@@ -243,8 +243,7 @@ class MultiTaskRecipe(PPORecipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.method not in get_args(MultiTaskMethod):
-            raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
+        check_known("multi-task method", self.method, get_args(MultiTaskMethod))
         if self.has_vectors and self.standardize:
             raise InvalidInput(
                 f"{self.method} cannot learn from standardised observations, got standardize=True; "

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.arrays import Array
-from mbtl.errors import missing_extra, unknown_name
+from mbtl.errors import check_known, missing_extra
 from mbtl.objective import k_star
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.benchmark.oracle import Reference
@@ -457,8 +457,7 @@ def difference(comparison: Comparison, selector: str, against: str) -> Differenc
     for name, refs in comparison.references.items():
         draws, curves = seed_draws(len(refs), rng), comparison.curves[name]
         for asked in (selector, against):
-            if asked not in curves:
-                raise unknown_name("selector of this comparison", asked, list(curves))
+            check_known("selector of this comparison", asked, curves)
         one, other = (SeedTable.of(curves[asked], refs, draws) for asked in (selector, against))
         columns = one.columns - other.columns
         columns[:, ROOM] = one.columns[:, ROOM]  # of the matrix, the same for both

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
 from mbtl.engine.world_trainer import WorldTrainer
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.files import claimed_folder, whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
@@ -189,8 +189,7 @@ class Kinds:
         ]
         names = dict.fromkeys(name for part in found for name in (part.kind, part.asked))
         for kind in kinds:
-            if kind not in names:
-                raise unknown_name("kind of training", kind, list(names))
+            check_known("kind of training", kind, names)
         return [part for part in found if {part.kind, part.asked} & set(kinds)]
 
     def _grouped(

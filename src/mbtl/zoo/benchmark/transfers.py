@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, unknown_name
+from mbtl.errors import InvalidInput, StorageError, check_known
 from mbtl.objective import Bounds, direction_named
 from mbtl.zoo.benchmark.matrix import REFERENCE, context_values, halves
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
@@ -120,8 +120,7 @@ def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferDa
         StorageError: its files do not fit together.
     """
     files = _files(folder)
-    if cmdp not in files:
-        raise unknown_name("transfer data", cmdp, files)
+    check_known("transfer data", cmdp, files)
     by_seed = files[cmdp]
     parts = [read_npz(by_seed[seed]) for seed in sorted(by_seed)]
     first = parts[0]

@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium.spaces import Discrete
 
 from mbtl.contexts import Value
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
 from mbtl.zoo.cmdps.drawing import draw_cart
 
@@ -55,8 +55,7 @@ def derive(features: Mapping[str, float], physics: Physics = "intended") -> Cons
     Raises:
         UnknownName: another physics.
     """
-    if physics not in ("intended", "reference"):
-        raise unknown_name("physics", physics, ("intended", "reference"))
+    check_known("physics", physics, ("intended", "reference"))
     source = features if physics == "intended" else CartPole.FEATURES
     return Constants(
         gravity=features["gravity"],

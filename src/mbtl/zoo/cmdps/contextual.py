@@ -20,7 +20,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from mbtl.contexts import Value
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, check_known, unknown_name
 
 Visibility = Literal["hidden", "multiplier", "raw"]
 TimeLimit = Literal["truncation", "terminal"]
@@ -67,8 +67,7 @@ class Contextual:
         """See the subclasses for the meaning of the arguments."""
         if visibility not in (None, *VISIBILITIES):
             raise unknown_name("visibility", str(visibility), VISIBILITIES)
-        if time_limit not in TIME_LIMITS:
-            raise unknown_name("time limit", time_limit, TIME_LIMITS)
+        check_known("time limit", time_limit, TIME_LIMITS)
         horizon = self.HORIZON if horizon is None else horizon
         if horizon < 1:
             raise InvalidInput(f"horizon must be >= 1 step, got {horizon}")
@@ -144,8 +143,7 @@ def full_context(
     """
     full = dict(features)
     for name, value in (context or {}).items():
-        if name not in features:
-            raise unknown_name("context feature", name, features)
+        check_known("context feature", name, features)
         if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
             raise ContextMismatch(f"feature {name!r} takes finite numbers > 0, got {value!r}")
         full[name] = float(value)
@@ -166,8 +164,7 @@ def visible_features(
         UnknownName: `unit` names something that is no feature.
     """
     for name in unit:
-        if name not in features:
-            raise unknown_name("context feature", name, features)
+        check_known("context feature", name, features)
     if visibility == "hidden":
         return ()
     if visibility == "raw":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.problems.cmdp import CMDP, Preset
 from mbtl.trainers.contract import Trainer
 from mbtl.zoo.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
@@ -169,15 +169,13 @@ def get_cmdp(
 
 
 def _entry(id: str) -> tuple[Variant, Family]:
-    if id not in VARIANTS:
-        raise unknown_name("CMDP", id, VARIANTS, hint="`mbtl cmdps` lists all.")
+    check_known("CMDP", id, VARIANTS, hint="`mbtl cmdps` lists all.")
     variant = VARIANTS[id]
     return variant, FAMILIES[variant.family]
 
 
 def _check_choice(kind: str, name: str) -> None:
-    if name not in _CHOICES[kind]:
-        raise unknown_name(kind, name, _CHOICES[kind])
+    check_known(kind, name, _CHOICES[kind])
 
 
 def _training(

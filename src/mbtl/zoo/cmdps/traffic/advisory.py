@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, check_known
 
 STEP = 0.1
 """Seconds of one simulation step."""
@@ -78,8 +78,7 @@ def decisions(hold: float, horizon: int) -> int:
 
 def check_seen(seen: Seen) -> None:
     """Refuse anything but "fresh" and "stale"."""
-    if seen not in ("fresh", "stale"):
-        raise unknown_name("observation", seen, ("fresh", "stale"))
+    check_known("observation", seen, ("fresh", "stale"))
 
 
 def level_of(action: Any, levels: int) -> int:

@@ -64,7 +64,7 @@ from scipy.special import ndtr, ndtri
 from mbtl.arrays import Array
 from mbtl.canvas import Window
 from mbtl.contexts import Value
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, check_known
 from mbtl.sumo import network
 from mbtl.zoo.cmdps.contextual import Observation
 from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam
@@ -569,8 +569,7 @@ class Eco(TrafficTeam):
             ContextMismatch: a penetration outside (0, 1], or a green that no signal can show.
             UnknownName: no such score.
         """
-        if score not in SCORES:
-            raise unknown_name("score", score, SCORES)
+        check_known("score", score, SCORES)
         self.scored = score
         check_context(context or {})
         super().__init__(context, **settings)

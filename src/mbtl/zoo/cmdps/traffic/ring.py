@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, Unpack
 import numpy as np
 
 from mbtl.contexts import Value
-from mbtl.errors import SimulationFailed, unknown_name
+from mbtl.errors import SimulationFailed, check_known
 from mbtl.sumo import network
 from mbtl.zoo.cmdps.contextual import Observation
 from mbtl.zoo.cmdps.traffic import advisory
@@ -81,8 +81,7 @@ class Ring(TrafficEnv):
                 above 1 s.
         """
         advisory.check_seen(obs)
-        if start not in ("free", "uniform"):
-            raise unknown_name("start", start, ("free", "uniform"))
+        check_known("start", start, ("free", "uniform"))
         super().__init__(context, **settings)
         self.hold = advisory.hold_steps(self.features["hold"])
         self._obs, self._start, self._noise = obs, start, noise

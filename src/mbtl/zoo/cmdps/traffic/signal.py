@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.canvas import Window
 from mbtl.contexts import Value
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, check_known
 from mbtl.sumo import CARS, network
 from mbtl.zoo.cmdps.contextual import Observation
 from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficEnv
@@ -244,8 +244,7 @@ class Signal(TrafficEnv):
             InvalidInput: a jam that every episode is.
             UnknownName: no such score.
         """
-        if score not in SCORES:
-            raise unknown_name("score", score, SCORES)
+        check_known("score", score, SCORES)
         self.scored, self._limits = score, SCORES[score]
         self.SCORE = self._limits.unit
         jam = self._limits.jam if jam is None else jam
@@ -329,8 +328,7 @@ class Signal(TrafficEnv):
             SimulationFailed: the simulator has stopped.
         """
         self._check_running()
-        if way not in WAYS:
-            raise unknown_name("light", way, WAYS)
+        check_known("light", way, WAYS)
         with self.simulation.guard() as api:
             if self._way != way:
                 api.trafficlight.setProgramLogic("centre", self._program(api, way))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from mbtl.engine.worlds import random
 from mbtl.engine.worlds.environments import Box, Law, TimeLimit
 from mbtl.engine.worlds.world import Moved, Seeded, Seen, everyone
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import InvalidInput, check_known
 from mbtl.zoo.worlds.traffic import lane
 from mbtl.zoo.worlds.traffic.lane import Ahead, Cars, Incomer
 
@@ -597,8 +597,7 @@ def layers(name: str) -> Layers:
     Raises:
         UnknownName: there is no such rule.
     """
-    if name not in RULES:
-        raise unknown_name("rule of eco-driving", name, RULES)
+    check_known("rule of eco-driving", name, RULES)
     with np.load(FOLDER / f"{name}.npz", allow_pickle=False) as file:
         return tuple((file[f"weight_{k}"], file[f"bias_{k}"]) for k in range(len(file.files) // 2))
 
