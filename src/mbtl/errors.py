@@ -6,8 +6,9 @@ exits with 2); every other error means that the work itself failed (exit 1).
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 __all__ = [
     "CheckFailed",
@@ -30,6 +31,7 @@ __all__ = [
     "few",
     "missing_extra",
     "unknown_name",
+    "written",
 ]
 
 
@@ -132,6 +134,19 @@ def cannot_write(path: object, error: OSError) -> StorageError:
     return StorageError(
         f"{path} cannot be written ({error.strerror or error}); choose another place"
     )
+
+
+@contextlib.contextmanager
+def written(path: object) -> Iterator[None]:
+    """Raise `cannot_write` where the system refuses something while the block runs.
+
+    Raises:
+        StorageError: `path` cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 def missing_extra(package: str, extra: str) -> MissingExtra:

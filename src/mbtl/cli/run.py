@@ -18,7 +18,7 @@ from mbtl.cli.folders import DATABASE, check_folder, renamed, set_aside, study_i
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
 from mbtl.cli.worker import check_evaluated
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed, cannot_write
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed, written
 from mbtl.files import MALFORMED, read_json
 from mbtl.objective import Objective
 from mbtl.plot import curve, policy_map, save
@@ -220,10 +220,8 @@ def _keep_tuned(place: Path) -> None:
         made = read_json((place / MANIFEST).read_text("utf-8"))
         tuned = bool(made["metadata"].get("adapted"))
     if tuned:
-        try:
+        with written(place):
             renamed(place)
-        except OSError as error:
-            raise cannot_write(place, error) from error
 
 
 def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:

@@ -19,7 +19,7 @@ from rich.text import Text
 from mbtl.arrays import plain
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, MbtlError, cannot_write
+from mbtl.errors import InvalidInput, MbtlError, written
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
@@ -132,15 +132,12 @@ def export(
         }
         for i, r in enumerate(state.rows)
     ]
-    try:
-        with out.open("w", encoding="utf-8", newline="") as file:
-            if out.suffix == ".json":
-                document = {"summary": summarise_study(opened).to_json(), "rows": rows}
-                json.dump(plain(document), file, indent=2)
-            else:
-                csv.writer(file).writerows(_lines(rows, space))
-    except OSError as error:
-        raise cannot_write(out, error) from error
+    with written(out), out.open("w", encoding="utf-8", newline="") as file:
+        if out.suffix == ".json":
+            document = {"summary": summarise_study(opened).to_json(), "rows": rows}
+            json.dump(plain(document), file, indent=2)
+        else:
+            csv.writer(file).writerows(_lines(rows, space))
     if as_json:
         print_json({"written": str(out), "rows": len(rows)})
     else:

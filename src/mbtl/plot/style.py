@@ -13,7 +13,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, Log, Value
-from mbtl.errors import cannot_write, missing_extra
+from mbtl.errors import missing_extra, written
 
 Draws = TypeVar("Draws", bound=Callable[..., Any])
 
@@ -82,12 +82,9 @@ def save(ax: Any, path: str | Path) -> Path:
     """
     place, first = Path(path), np.ravel(ax)[0]
     figure = first if hasattr(first, "savefig") else first.figure
-    with style():
-        try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            figure.savefig(place)
-        except OSError as error:
-            raise cannot_write(place, error) from error
+    with style(), written(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(place)
     return place
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, cannot_write, few
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, few, written
 from mbtl.files import claimed_folder, whole_file
 from mbtl.processes import separate_workers
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
@@ -148,7 +148,7 @@ def _keep(trainer: Any, policy: Any, place: Path) -> None:
     if save is None:
         return
     partial = place.with_name(f".{place.name}.partial")
-    try:
+    with written(place):
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         if save(policy, partial):
@@ -156,8 +156,6 @@ def _keep(trainer: Any, policy: Any, place: Path) -> None:
             partial.rename(place)
         else:
             partial.rmdir()
-    except OSError as error:
-        raise cannot_write(place, error) from error
 
 
 def _write_note(piece: Piece, note: Mapping[str, Any]) -> None:

@@ -28,7 +28,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
 from mbtl.engine.world_trainer import WorldTrainer
-from mbtl.errors import InvalidInput, cannot_write
+from mbtl.errors import InvalidInput, written
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import Progress, Trainer, recipe_of, refusal
@@ -85,10 +85,8 @@ def save_multitask(
         StorageError: the place cannot be written.
     """
     place = Path(folder)
-    try:
+    with written(place):
         place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(place, error) from error
     path = multitask_file(place, cmdp, method, seed)
     write_npz(
         path,

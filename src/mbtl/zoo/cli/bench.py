@@ -6,12 +6,12 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from mbtl.cli.common import JsonFlag, print_json, printer
-from mbtl.errors import InvalidInput, cannot_write
+from mbtl.errors import InvalidInput, written
 from mbtl.selectors.registry import get_selector
 from mbtl.zoo.benchmark.base import RowSource
 from mbtl.zoo.benchmark.compare import Step, compare, default_selectors
@@ -85,7 +85,9 @@ def bench(
         leads = [comparison.difference(name, rival) for name in comparison.summary.pooled]
         document["differences"] = [lead.to_json() for lead in leads if lead.selector != rival]
     if out is not None:
-        _write(document, out)
+        text = json.dumps(document, indent=2, allow_nan=False)
+        with written(out):
+            out.write_text(text + "\n", encoding="utf-8")
     if as_json:
         print_json(document)
     else:
@@ -116,11 +118,3 @@ def scaled(source: RowSource, bounds: str | None) -> RowSource:
 
 def _writable(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK)
-
-
-def _write(document: dict[str, Any], path: Path) -> None:
-    text = json.dumps(document, indent=2, allow_nan=False)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise cannot_write(path, error) from error

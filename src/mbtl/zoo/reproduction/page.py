@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbtl.errors import cannot_write
+from mbtl.errors import written
 from mbtl.files import whole_file
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench
@@ -158,13 +158,11 @@ def write_page(
     items = {outcome.item.name: outcome for outcome in outcomes}
     rows = items["main-table"].numbers["rows"]
     pictures = page.parent / _IMAGES
-    try:
+    with written(pictures):
         pictures.mkdir(parents=True, exist_ok=True)
         for stem in {*(stem for stem, _ in _SHOWN), *(claim.figure for claim in claims)}:
             if (out / FIGURES / f"{stem}.png").is_file():
                 shutil.copyfile(out / FIGURES / f"{stem}.png", pictures / f"{stem}.png")
-    except OSError as error:
-        raise cannot_write(pictures, error) from error
     parts = [
         "# The reproduction",
         *_conclusion(rows, claims),
@@ -282,9 +280,7 @@ def _missing(outcomes: Sequence[Outcome]) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    try:
+    with written(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(file, error) from error
     with whole_file(file) as writing:
         writing.write((text.rstrip() + "\n").encode())
