@@ -30,6 +30,7 @@ __all__ = [
     "check_known",
     "few",
     "missing_extra",
+    "needs",
     "unknown_name",
     "written",
 ]
@@ -155,3 +156,16 @@ def missing_extra(package: str, extra: str) -> MissingExtra:
     if extra == "train":
         how += " (without a GPU install PyTorch's CPU build first, see pytorch.org)"
     return MissingExtra(f"{package} is needed for this and is not installed; run: {how}")
+
+
+@contextlib.contextmanager
+def needs(package: str, extra: str) -> Iterator[None]:
+    """Raise `missing_extra` where a module is missing that the block imports.
+
+    Raises:
+        MissingExtra: it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise missing_extra(package, extra) from error

@@ -13,7 +13,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, Log, Value
-from mbtl.errors import missing_extra, written
+from mbtl.errors import needs, written
 
 Draws = TypeVar("Draws", bound=Callable[..., Any])
 
@@ -34,10 +34,8 @@ def style() -> AbstractContextManager[None]:
     Raises:
         MissingExtra: matplotlib is not installed.
     """
-    try:
+    with needs("matplotlib", "plots"):
         from matplotlib.style import context
-    except ModuleNotFoundError as error:
-        raise missing_extra("matplotlib", "plots") from error
     found: AbstractContextManager[None] = context(
         str(resources.files("mbtl.plot") / "mbtl.mplstyle")
     )

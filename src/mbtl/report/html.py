@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.errors import InvalidInput, missing_extra
+from mbtl.errors import InvalidInput, needs
 from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
@@ -81,10 +81,8 @@ def page(subjects: Sequence[Subject]) -> str:
 
 
 def _plotly() -> str:
-    try:
+    with needs("plotly", "plots"):
         from plotly.offline import get_plotlyjs
-    except ModuleNotFoundError as error:
-        raise missing_extra("plotly", "plots") from error
     return str(get_plotlyjs())
 
 

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbtl.errors import missing_extra
+from mbtl.errors import needs
 
-try:
+with needs("stable-baselines3", "train"):
     import torch
     from gymnasium.spaces import Box
     from stable_baselines3.common.policies import ActorCriticPolicy
-except ModuleNotFoundError as error:
-    raise missing_extra("stable-baselines3", "train") from error
 
 
 class AppliedMlpPolicy(ActorCriticPolicy):  # type: ignore[misc]  # stable_baselines3 is untyped for our checker

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.errors import missing_extra
+from mbtl.errors import needs
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
 from mbtl.trainers.adapted import AdaptedPolicy
 
@@ -62,13 +62,11 @@ def export_mlp(model: Any) -> MLPPolicy | None:
 
 def _acting_layers(model: Any) -> list[Any] | None:
     """Modules from features to outputs, in order; without a final squashing."""
-    try:
+    with needs("stable-baselines3", "train"):
         from stable_baselines3.common.policies import ActorCriticPolicy
         from stable_baselines3.dqn.policies import DQNPolicy
         from stable_baselines3.sac.policies import SACPolicy
         from stable_baselines3.td3.policies import TD3Policy
-    except ModuleNotFoundError as error:
-        raise missing_extra("stable-baselines3", "train") from error
     policy = model.policy
     name = type(policy).__module__
     if "recurrent" in name or "mask" in name:

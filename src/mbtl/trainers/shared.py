@@ -28,13 +28,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mbtl.envs.slots import Slots, SlotStep, is_blank
-from mbtl.errors import InvalidInput, check_known, missing_extra
+from mbtl.errors import InvalidInput, check_known, needs
 
-try:
+with needs("stable-baselines3", "train"):
     from stable_baselines3.common.buffers import RolloutBuffer
     from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnvWrapper
-except ModuleNotFoundError as error:
-    raise missing_extra("stable-baselines3", "train") from error
 
 
 Credit = Literal["own", "team"]

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.arrays import Array
-from mbtl.errors import check_known, missing_extra
+from mbtl.errors import check_known, needs
 from mbtl.objective import k_star
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.benchmark.oracle import Reference
@@ -555,10 +555,8 @@ class Comparison:
         Raises:
             MissingExtra: pandas is not installed.
         """
-        try:
+        with needs("pandas", "frames"):
             import pandas
-        except ModuleNotFoundError as error:
-            raise missing_extra("pandas", "frames") from error
         lines: list[tuple[Any, ...]] = []
         for run in self.results:
             sources: Sequence[int | None] = run.sources

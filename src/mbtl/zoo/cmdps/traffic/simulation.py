@@ -19,7 +19,7 @@ from gymnasium.utils.seeding import np_random
 
 from mbtl.canvas import Image, Window
 from mbtl.contexts import Value
-from mbtl.errors import InvalidInput, missing_extra, unknown_name
+from mbtl.errors import InvalidInput, needs, unknown_name
 from mbtl.sumo import CARS, CONTROLLED, Engine, Legend, Simulation, draw
 from mbtl.zoo.cmdps import contextual
 from mbtl.zoo.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
@@ -193,10 +193,8 @@ class TrafficEnv(Traffic, ContextualEnv):
 # Traffic with many decision makers: a PettingZoo parallel environment whose agents come and go
 
 
-try:
+with needs("pettingzoo", "traffic"):
     from pettingzoo import ParallelEnv
-except ModuleNotFoundError as error:
-    raise missing_extra("pettingzoo", "traffic") from error
 
 
 class TrafficTeam(Traffic, ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our checker
