@@ -133,7 +133,7 @@ NOT_PUBLIC = {
         "processes.separate_workers processes.SeparateWorkers"
     ),
     "the provenance of matrices compares settings and names the version": (
-        "settings.first_difference version.__version__"
+        "settings.first_difference version.__version__ version.installed"
     ),
     "`mbtl play` acts with a policy as trainers do": "trainers.sb3_learning.actor_for",
 }

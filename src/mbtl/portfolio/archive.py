@@ -12,7 +12,6 @@ The format and what is safe to open: docs/portfolio-format.md.
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 import platform
 import shutil
@@ -36,6 +35,7 @@ from mbtl.files import (
     sync_folder,
 )
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
+from mbtl.version import installed
 
 FORMAT = 2
 """Of the folder; another one is not read."""
@@ -193,7 +193,7 @@ def _fill(
         **record,
         "policies": folders,
         "files": {name: _sha256(root / name) for name in files},
-        "versions": _versions(),
+        "versions": {"python": platform.python_version(), **installed(*_RECORDED_LIBRARIES)},
     }
     try:
         text = json.dumps(manifest, indent=2, allow_nan=False, default=python_value)
@@ -259,16 +259,6 @@ def _standing(folder: Path) -> Path:
 def _aside(folder: Path) -> Path:
     """Where a portfolio is while another one takes its place."""
     return folder.with_name(f".{folder.name}.mbtl-replaced")
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in _RECORDED_LIBRARIES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return versions
 
 
 # ---- reading -----------------------------------------------------------------------------------

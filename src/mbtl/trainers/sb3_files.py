@@ -12,7 +12,6 @@ files you trust; the numpy copy is always safe and needs no torch.
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import pickle
 from dataclasses import asdict
@@ -26,6 +25,7 @@ from mbtl.trainers.adapted import AdaptedPolicy, around, model_of
 from mbtl.trainers.algorithms import algorithm_class
 from mbtl.trainers.export import export_mlp
 from mbtl.trainers.sb3_learning import isolated
+from mbtl.version import installed
 
 MODEL_FILE = "model.zip"
 RECORD_FILE = "sb3.json"
@@ -43,7 +43,7 @@ def save_sb3(policy: Any, folder: Path) -> None:
         "algorithm": kind.__name__,
         "package": package,
         **({"adapted": asdict(policy.adapter)} if isinstance(policy, AdaptedPolicy) else {}),
-        "versions": {n: importlib.metadata.version(n) for n in ("stable-baselines3", "torch")},
+        "versions": installed("stable-baselines3", "torch"),
     }
     (folder / RECORD_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if (statistics := getattr(policy, "statistics", None)) is not None:

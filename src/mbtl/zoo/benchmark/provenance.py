@@ -8,14 +8,13 @@ import subprocess
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from mbtl.errors import InvalidInput
 from mbtl.processes import usable_cores
 from mbtl.settings import first_difference
-from mbtl.version import __version__
+from mbtl.version import __version__, installed
 
 _PACKAGES = (
     *("numpy", "jax", "jaxlib", "optax", "gymnasium", "stable-baselines3", "sb3-contrib", "torch"),
@@ -32,7 +31,7 @@ def here() -> dict[str, Any]:
     return {
         "mbtl": __version__,
         "commit": _commit(),
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {"python": platform.python_version(), **installed(*_PACKAGES)},
         "hardware": _hardware(),
         "processor": _processor(),
         "date": datetime.now(UTC).date().isoformat(),
@@ -59,16 +58,6 @@ def check_made_by(file: Path, record: Mapping[str, Any], settings: Mapping[str, 
             f"{file} was made by {record.get('command', 'another command')!r} with other settings: "
             f"{name} was {was!r}, got {got!r}; choose another --out, or remove it"
         )
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _PACKAGES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def _hardware() -> str:
