@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -84,27 +85,39 @@ def compare(
     for name, problem in problems.items():
         _check_runnable(entrants, name, problem)
 
-    steps = _Steps(sources, entrants, seeds, on_step)
+    tries = {
+        label: 1 if traits_of(selector).deterministic else seeds
+        for label, selector in entrants.items()
+        if selector is not None
+    }
+    done = count()
+    total = sum(source.n_seeds for source in sources.values()) * (1 + sum(tries.values()))
+
+    def tell(doing: str) -> None:
+        if on_step is not None:
+            on_step(Step(next(done), total, doing))
+
     runs: list[Run] = []
     curves: dict[str, dict[str, list[Array]]] = {m: {e: [] for e in entrants} for m in sources}
     references: dict[str, list[Reference]] = {m: [] for m in sources}
     for name, source in sources.items():
         for s in range(source.n_seeds):
-            steps.next(f"{name}, seed {s}: oracle and exact Random")
+            tell(f"{name}, seed {s}: oracle and exact Random")
             known = reference(source, s, budget)
             references[name].append(known)
             for label, selector in entrants.items():
                 if selector is None:
-                    group = [_oracle_run(known, name, s, problems[name].theta)]
+                    best, theta = known.oracle, problems[name].theta
+                    group = [Run(name, s, ORACLE, 0, theta, best.sources, best.curve, best.seconds)]
                 else:
                     group, fair = [], held_out(selector, getattr(source, "cmdp", ""))
-                    for seed in range(1 if traits_of(selector).deterministic else seeds):
-                        steps.next(f"{name}, seed {s}: {label}")
+                    for seed in range(tries[label]):
+                        tell(f"{name}, seed {s}: {label}")
                         group.append(_run(fair, source, problems[name], (name, s, seed)))
                 runs += group
                 mean = np.mean([run.performance for run in group], axis=0)
                 curves[name][label].append(known.random if label == RANDOM else mean)
-    steps.next("")
+    tell("")
     stacked = {m: {e: np.array(v) for e, v in by.items()} for m, by in curves.items()}
     caveats = {name: getattr(source, "caveat", None) for name, source in sources.items()}
     return Comparison(tuple(runs), summarise(stacked, references, caveats), stacked, references)
@@ -142,19 +155,6 @@ def _run(
         sources=found.history.sources,
         performance=measured_curve(source, matrix_seed, found.history.sources),
         select_seconds=found.select_seconds,
-    )
-
-
-def _oracle_run(known: Reference, matrix: str, matrix_seed: int, theta: float) -> Run:
-    return Run(
-        matrix=matrix,
-        matrix_seed=matrix_seed,
-        selector=ORACLE,
-        seed=0,
-        theta=theta,
-        sources=known.oracle.sources,
-        performance=known.oracle.curve,
-        select_seconds=known.oracle.seconds,
     )
 
 
@@ -226,29 +226,3 @@ def _refusal(given: str | Selector, problem: SelectionProblem) -> InvalidInput |
     except InvalidInput as error:
         return error
     return None
-
-
-class _Steps:
-    """Counts the pieces of work of a comparison and reports them."""
-
-    def __init__(
-        self,
-        sources: Mapping[str, RowSource],
-        entrants: Mapping[str, Selector | None],
-        seeds: int,
-        on_step: OnStep | None,
-    ) -> None:
-        runs = sum(
-            1 if traits_of(selector).deterministic else seeds
-            for selector in entrants.values()
-            if selector is not None
-        )
-        self._total = sum(source.n_seeds for source in sources.values()) * (1 + runs)
-        self._started = 0
-        self._report = on_step
-
-    def next(self, doing: str) -> None:
-        """Report what starts now."""
-        if self._report is not None:
-            self._report(Step(self._started, self._total, doing))
-        self._started += 1
