@@ -130,11 +130,6 @@ Numbers = dict[str, Any]
 """JSON-able. `missing` lists, in sentences, what the item could not have and why."""
 
 
-def no_tables(numbers: Numbers) -> dict[str, Table]:
-    """An item without tables."""
-    return {}
-
-
 def no_figures(numbers: Numbers) -> dict[str, Any]:
     """An item without figures."""
     return {}
@@ -159,7 +154,7 @@ class Item:
     name: str
     title: str
     compute: Callable[[Bench], Numbers]
-    tables: Callable[[Numbers], Mapping[str, Table]] = no_tables
+    tables: Callable[[Numbers], Mapping[str, Table]]
     figures: Callable[[Numbers], Mapping[str, Any]] = no_figures
     prefixes: tuple[str, ...] = ("",)
     variants: tuple[str, ...] = ()

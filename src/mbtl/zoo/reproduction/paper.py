@@ -9,12 +9,12 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.zoo.benchmark.comparison import CONFIDENCE, Estimate
+from mbtl.zoo.benchmark.shipped import data_folder
 
 METHODS = (
     "independent",
@@ -92,9 +92,9 @@ class Published:
         return self.n / float(np.mean(self.k_star))
 
 
-def published(path: Path | None = None) -> dict[str, Published]:
+def published() -> dict[str, Published]:
     """The paper's lines by CMDP, in its order."""
-    file = path or Path(str(resources.files("mbtl.zoo.benchmark") / "data")) / "published.csv"
+    file = data_folder() / "published.csv"
     table = {}
     with file.open(newline="", encoding="utf-8") as lines:
         for row in csv.DictReader(lines):
@@ -163,21 +163,7 @@ def _ties(one: Value, best: Value, n: int) -> bool:
 
 
 RESAMPLES = 2000
-CONFIDENCE = 0.95
 _SEED = 20240604
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A value and its 95 % bootstrap interval; None where one seed leaves the scatter unknown."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-    def to_json(self) -> dict[str, float | None]:
-        """JSON-able record."""
-        return {"value": self.value, "low": self.low, "high": self.high}
 
 
 def interquartile_mean(scores: Array) -> Array:
@@ -190,8 +176,10 @@ def interquartile_mean(scores: Array) -> Array:
     return np.asarray(ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1))
 
 
-def pooled(scores: Sequence[Array]) -> Interval:
+def pooled(scores: Sequence[Array]) -> Estimate:
     """Interquartile mean of all runs of all CMDPs, with its bootstrap interval.
+
+    Of one seed there is none: it leaves the scatter unknown.
 
     Args:
         scores: (S_t,) per CMDP.
@@ -201,7 +189,7 @@ def pooled(scores: Sequence[Array]) -> Interval:
     return _interval(value, drawn, scores)
 
 
-def pooled_mean(scores: Sequence[Array]) -> Interval:
+def pooled_mean(scores: Sequence[Array]) -> Estimate:
     """Mean over CMDPs of their means over seeds, with its bootstrap interval."""
     value = float(np.mean([s.mean() for s in scores]))
     sizes = np.cumsum([len(s) for s in scores])[:-1]
@@ -229,9 +217,9 @@ def _resampled(scores: Sequence[Array]) -> Array:
     return np.hstack([s[rng.integers(len(s), size=(RESAMPLES, len(s)))] for s in scores])
 
 
-def _interval(value: float, drawn: Array, scores: Sequence[Array]) -> Interval:
+def _interval(value: float, drawn: Array, scores: Sequence[Array]) -> Estimate:
     if min(len(s) for s in scores) < 2:
-        return Interval(value, None, None)
+        return Estimate(value, None, None)
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = np.quantile(drawn, [tail, 1.0 - tail])
-    return Interval(value, float(low), float(high))
+    return Estimate(value, float(low), float(high))

@@ -34,7 +34,6 @@ from mbtl.zoo.reproduction.paper import (
 )
 
 DOMAINS = ("traffic", "control")
-_MANY = ("random", "greedy", "mbtl", "sequential_oracle")
 MARKS = (
     "Bold: the best of the first five columns, and those behind it by no more than the standard "
     "error of the differences, seed by seed; of the paper, whose seeds are not told, those whose "
