@@ -89,6 +89,10 @@ class Contextual:
             np.array(high + [np.inf] * n, dtype=np.float32),
         )
 
+    def _ends(self, out_of_time: bool) -> tuple[bool, bool]:
+        """(terminated, truncated) as far as time decides."""
+        return out_of_time and self._terminal, out_of_time and not self._terminal
+
     def _no_episode(self) -> InvalidInput:
         return InvalidInput(
             "step() needs a running episode, got none or one that has ended; call reset()"

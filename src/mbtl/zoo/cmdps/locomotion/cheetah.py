@@ -316,14 +316,7 @@ class HalfCheetah(ContextualEnv):
         mujoco.mj_step(self.model, data, nstep=SUBSTEPS)
         reward = (data.qpos[0] - before) / STEP - ACTION_COST * np.square(action).sum()
         self._left -= 1
-        out_of_time = self._left == 0
-        return (
-            self._seen(),
-            float(reward),
-            out_of_time and self._terminal,
-            out_of_time and not self._terminal,
-            {},
-        )
+        return self._seen(), float(reward), *self._ends(self._left == 0), {}
 
     def render(self) -> Any:
         """A picture from the side, (height, width, 3); None without the render mode."""

@@ -478,14 +478,8 @@ class BipedalWalker(ContextualEnv):
         motors = np.asarray(action, np.float32).reshape(1, N_MOTORS)
         seen, reward, ended = advance([self.walker], motors)
         self._left = 0 if ended[0] else self._left - 1
-        out_of_time = self._left == 0 and not ended[0]
-        return (
-            self._shown(seen[0]),
-            float(reward[0]),
-            bool(ended[0] or (out_of_time and self._terminal)),
-            bool(out_of_time and not self._terminal),
-            {},
-        )
+        terminated, truncated = self._ends(self._left == 0 and not ended[0])
+        return self._shown(seen[0]), float(reward[0]), bool(ended[0]) or terminated, truncated, {}
 
     def render(self) -> Any:
         """A picture of the walker, (height, width, 3); None without the render mode.

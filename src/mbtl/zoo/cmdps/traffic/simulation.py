@@ -149,10 +149,6 @@ class Traffic(Contextual):
         if self._left <= 0 or self.simulation.running is None:
             raise self._no_episode()
 
-    def _ends(self, out_of_time: bool) -> tuple[bool, bool]:
-        """(terminated, truncated) as far as time decides."""
-        return out_of_time and self._terminal, out_of_time and not self._terminal
-
     def render(self) -> Image:
         """The traffic as it is now; after the last step, as it was then.
 
