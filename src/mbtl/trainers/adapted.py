@@ -6,8 +6,10 @@ environments it was trained in. Who uses a policy has neither in mind: so it bri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -57,15 +59,24 @@ class AdaptedPolicy:
     adapter: Adapter = field(default_factory=Adapter)
     statistics: Statistics | None = None
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, Any]:
-        """Actions of the environment for one of its observations or a batch, as the model's."""
-        return self._predict(observation, state, episode_start, deterministic)
+    @property
+    def predict(self) -> Callable[..., tuple[Any, Any]]:
+        """The model's own with observations and actions of the environment, one or a batch.
+
+        It takes what the model's takes, but is deterministic unless it is told otherwise.
+        """
+
+        @wraps(self.model.predict)
+        def predict(observation: Any, *given: Any, **named: Any) -> tuple[Any, Any]:
+            if len(given) < 3:  # state, episode_start, deterministic
+                named.setdefault("deterministic", True)
+            seen = self.adapter.observation(observation)
+            if self.statistics is not None:
+                seen = self.statistics(seen)
+            action, state = self.model.predict(seen, *given, **named)
+            return self.adapter.action(action), state
+
+        return predict
 
     def exported(self, plain: MLPPolicy) -> MLPPolicy:
         """The same around a numpy copy of the model."""
@@ -77,28 +88,6 @@ class AdaptedPolicy:
             head = replace(head, whole=self.adapter.whole)
         scaling = None if self.statistics is None else self.statistics.scaling()
         return replace(plain, head=head, scaling=scaling)
-
-    def _predict(self, observation: Any, *given: Any) -> tuple[Any, Any]:
-        seen = self.adapter.observation(observation)
-        if self.statistics is not None:
-            seen = self.statistics(seen)
-        action, state = self.model.predict(seen, *given)
-        return self.adapter.action(action), state
-
-
-class MaskedPolicy(AdaptedPolicy):
-    """Of a model that takes masks of actions."""
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-        action_masks: Any = None,
-    ) -> tuple[Any, Any]:
-        """As of `AdaptedPolicy`; masks are those of the environment."""
-        return self._predict(observation, state, episode_start, deterministic, action_masks)
 
 
 def adapted(model: Any) -> Any:
@@ -116,8 +105,7 @@ def around(model: Any, adapter: Adapter, statistics: Statistics | None) -> Any:
     """A model with its adapter and statistics; itself where it has none."""
     if not adapter.changes and statistics is None:
         return model
-    kind = MaskedPolicy if type(model).__name__.startswith("Maskable") else AdaptedPolicy
-    return kind(model, adapter, statistics)
+    return AdaptedPolicy(model, adapter, statistics)
 
 
 def model_of(policy: Any) -> Any:
