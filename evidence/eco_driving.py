@@ -15,18 +15,15 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
-import jax
 import jax.numpy as jnp
 
-from mbtl.engine.learners import networks
-from mbtl.engine.learners.episodic.episodes import import_actor, watched
-from mbtl.engine.worlds.world import of_simulations
+from mbtl.engine.learners.episodic.episodes import Actor, import_actor
+from mbtl.engine.learners.evaluation import own_measures
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.engines import EnvFactory, TwinProblem
 
@@ -37,27 +34,16 @@ FRESH = 5000
 
 
 def measures(
-    twin: Any, params: Any, policies: Sequence[Any] | None, episodes: int
+    world: Any, params: Any, policies: Sequence[Any] | None, episodes: int
 ) -> dict[str, Any]:
     """Measures (contexts, episodes) of policies in their own context; None: unguided."""
     n = len(params.visible)
-    drawn = jnp.tile(jnp.arange(FRESH, FRESH + episodes, dtype=jnp.uint32), (n, 1))
-    network = None if policies is None else import_actor(list(policies)).network
-    found = _measured(twin, network, drawn, of_simulations(params, episodes))
-    return {name: np.asarray(x, float).reshape(n, episodes) for name, x in found.items()}
-
-
-@partial(jax.jit, static_argnums=0)
-def _measured(twin: Any, network: Any, drawn: Any, params: Any) -> Any:
-    def one(_: int, state: Any) -> Any:
-        if network is None:
-            return twin.drive(state, params).state
-        seen, _ = watched(twin, "tanh", params, drawn.shape, (network,), state)
-        told = networks.to_environment(seen.found[0], twin.action)
-        return twin.step(state, told.reshape(-1, *told.shape[2:]), params).state
-
-    first = twin.start(drawn.reshape(-1), params)
-    return twin.measures(jax.lax.fori_loop(0, twin.horizon, one, first))
+    seeds = np.tile(np.arange(FRESH, FRESH + episodes, dtype=np.uint32), (n, 1))
+    if policies is None:
+        found = own_measures(world, "tanh", "none", Actor((), jnp.zeros((n, 1))), seeds, params)
+    else:
+        found = own_measures(world, "tanh", "mean", import_actor([*policies]), seeds, params)
+    return {name: np.asarray(x, float) for name, x in found.items()}
 
 
 def line(name: str, found: Any, base: Any) -> str:
