@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -106,13 +106,6 @@ class WorldTrainer:
     actions: str | None = None
 
     policy_format = "mlp"
-    on_sets: ClassVar[Mapping[str, str]] = {
-        "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
-        "layers": "twice as wide as `hidden`, by PPO that counts steps in worlds of no own recipe",
-        "schedule": "falling slowly, and to zero along a last fifth",
-        "checkpoint": "final",
-    }
-    """How the recipe of one policy for several contexts differs."""
 
     def __post_init__(self) -> None:
         by_steps, algorithm = self.episodes is None, self.algorithm
@@ -129,6 +122,23 @@ class WorldTrainer:
         check_known(f"algorithm of the {kind}", self.algorithm, algorithms)
 
     # ---- what it is --------------------------------------------------------------------------
+
+    @property
+    def on_sets(self) -> dict[str, str]:
+        """How the recipe of one policy for several contexts differs."""
+        best = f"the best of {_JUDGED} evaluations a unit"
+        return {
+            "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
+            "layers": "twice as wide as `hidden`, by PPO that counts steps in worlds of no own "
+            "recipe",
+            "schedule": "falling slowly, and to zero along a last fifth",
+            "checkpoint": best if self._judges_sets else "final",
+        }
+
+    @property
+    def _judges_sets(self) -> bool:
+        """Whether one policy for several contexts keeps the best of its evaluations."""
+        return self.episodes is not None and self.checkpoint == "best"
 
     @property
     def unit(self) -> str:
@@ -429,8 +439,7 @@ class WorldTrainer:
             recipe = engine.of_several(recipe, world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
-        keeps_best = n > 1 and self.episodes is not None and self.checkpoint == "best"
-        judged = -(-whole // _JUDGED) if keeps_best else 0
+        judged = -(-whole // _JUDGED) if n > 1 and self._judges_sets else 0
         growing = engine.Growing(world, recipe, list(seeds), spread, whole)
         return growing._replace(judged=judged, acting=self.how)
 
