@@ -68,6 +68,13 @@ def test_what_is_served_worst_is_chosen_by_other_episodes_than_those_that_say_ho
     assert summary.served[5] == 0.1
 
 
+def test_contexts_without_weight_are_not_the_worst():
+    weights = np.array([0.0, 0.0, *[1.0] * (N - 2)])
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N}, weights=weights)
+    study = told(created(space, budget=2, bounds=(0.0, 1.0), strategy="mbtl"), row, 2)
+    assert summarise_study(study).worst_context == 2
+
+
 def test_with_a_risk_v_is_said_to_be_of_the_worst_contexts():
     study = study_of(2, risk=0.1, episodes=3)
     said = " ".join(lines(summarise_study(study), SPACE))

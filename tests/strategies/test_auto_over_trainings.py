@@ -47,6 +47,17 @@ def test_where_one_policy_for_all_fails_specialists_take_over_soon(noise):
     assert len(contexts) - contexts.count(1) == 2
 
 
+def test_a_policy_for_all_that_stays_as_it_was_is_not_trained_longer():
+    """The best of its evaluations is early: what is usual of doublings is not to be hoped for."""
+    stays = transfer_worlds.transfers(
+        lambda units, x: 0.6 - 0.1 * np.abs(x - 0.5),
+        transfer_worlds.bump(0.02, 0.2), transfer_worlds.bump(0.62, 0.05), noise=0.05,
+    )  # fmt: skip
+    same = stays.generalists[0.5]
+    data = replace(stays, generalists=dict.fromkeys(stays.generalists, same))
+    assert [len(one.contexts) for one in run(data, Auto()).trainings].count(1) >= 13
+
+
 # ---- live ---------------------------------------------------------------------------------------
 
 

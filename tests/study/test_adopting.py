@@ -43,7 +43,7 @@ def test_it_is_saved_evaluated_and_serves_and_the_budget_stays_whole(study, tmp_
     study.run(progress=False)
     assert len(study.state.rows) == 2
     assert study.portfolio().policy_for({"x": 8.0}) == "8.0 mine"
-    assert "mbtl, 1 trainings, 1 policies told unasked, " in page([of_study(study)])
+    assert "mbtl, 1 training, 1 policy of yours, " in page([of_study(study)])
 
 
 def test_one_of_several_contexts_is_a_set(study):

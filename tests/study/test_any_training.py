@@ -554,6 +554,25 @@ def test_further_evaluations_are_paid_once_and_change_no_price():
     assert [one.state for one in study.trainings] == ["done"] * 4
 
 
+def test_a_further_evaluation_that_cannot_be_made_is_given_up_on_request():
+    """It trains nothing, so there is nothing to begin again."""
+    simulator = Simulator()
+
+    def evaluate(policy, contexts, seeds):
+        if len(contexts) == N - 2:
+            raise RuntimeError("no display")
+        return simulator.evaluate(policy, contexts, seeds)
+
+    first = replace(EVERYBODY, targets=(0, 7))
+    more = replace(EVERYBODY, start=0, length=0.0, targets=tuple(range(1, 7)))
+    study = study_of(Scripted((first, more)))
+    for retry in (False, True):
+        ran(study, simulator.train, evaluate, report=False, retry_failed=retry)
+        assert (len(study.state.deferred), len(study.state.failures)) == (1 - retry, int(retry))
+    assert len(simulator.calls) == 1
+    assert not study.state.open_picks
+
+
 # ---- the state of a training --------------------------------------------------------------------
 
 

@@ -118,6 +118,11 @@ def test_another_place_for_policies_is_noticed_at_once(tmp_path):
         ear.on_note = lambda study, words, heard=heard: heard.append(words)
         study.run(trainer=TRAINER, report=False, callbacks=[ear])
         assert heard == [] if there == address else f"training 1 is not in {there}:" in heard[0]
+    told = study_at(tmp_path / "other.db", budget=2)
+    told.tell(0, evaluate(0.0, SPACE.contexts, []), policy="my/own")  # no run has written it
+    heard.clear()
+    told.run(trainer=TRAINER, report=False, callbacks=[ear])
+    assert not heard
 
 
 def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):

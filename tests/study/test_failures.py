@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from line_problem import line
 
+import mbtl
 from flat import created, ran
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
@@ -202,6 +203,21 @@ def test_a_policy_that_no_evaluation_survives_is_trained_again_on_request(tmp_pa
     assert study.is_finished
     assert len(study.state.rows) == 5
     assert not study.state.deferred
+
+
+def test_what_is_tried_again_is_not_answered_by_whoever_evaluates_the_old_policy(tmp_path):
+    study = study_in(tmp_path)
+    pick = study.ask(lease=600.0)
+    study.defer(pick, "no display", steps=70.0)
+    other = mbtl.load_study(tmp_path)
+    other.retry(pick.number)
+    assert study.tell(pick, np.ones(N)) is False
+    assert not study.refresh().rows
+    assert study.state.lost_steps == 70.0
+    again = other.ask()
+    assert (again.number, again.seed) == (pick.number, other.state.seed_of(other.state.picks[0]))
+    assert again.seed != pick.seed
+    assert other.tell(again, np.ones(N))
 
 
 def test_a_policy_that_cannot_be_read_back_is_not_trained_again(tmp_path):

@@ -48,6 +48,8 @@ def test_going_on_without_a_name_finds_the_only_study_of_a_file_and_no_other(tmp
     again = {"budget": 6, "storage": tmp_path / "study.db", "load_if_exists": True}
     first = created(SPACE, name="mine", **again)
     assert created(SPACE, **again).name == "mine"
+    with pytest.raises(StudyMismatch, match=r"a stored study \('mine'\) goes on only with"):
+        created(SPACE, strategy="random", **again)
     created(SPACE, name="theirs", **again)
     assert created(SPACE, **again).name == "study"
     assert first.name == "mine"
@@ -308,7 +310,7 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
         ({"budget": 21, "strategy": "mbtl"}, "budget must be from 1"),
         ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
         ({"budget": True}, "budget must be a whole number, got True"),
-        ({"best_return": -1.0}, "performance 0 or less"),
+        ({"best_return": -1.0}, "counts as 0, got -1 with bounds"),
         ({"seed": -1}, ">= 0"),
         ({"seed": "a"}, "seed must be a whole number"),
         ({"strategy": "mbtll"}, "Did you mean 'mbtl'"),
@@ -377,6 +379,9 @@ def test_a_study_ends_where_v_is_as_large_as_it_can_be():
     unasked = study_of(strategy="mbtl")
     tell(unasked, 500.0)
     assert unasked.stop_reason is None
+    rounded = study_of(stop_left=0.005, best_return=50.0, bounds=(0.0, 50.0), strategy="mbtl")
+    tell(rounded, 500.0 * float(np.float32(0.1)))  # a little more than there is
+    assert "within 0.005 of the largest" in rounded.stop_reason
     wrong = study_of(stop_left=0.005, best_return=300.0, strategy="mbtl")
     tell(wrong, 400.0)  # more than there can be
     assert wrong.stop_reason is None

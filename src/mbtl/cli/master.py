@@ -10,7 +10,7 @@ from mbtl.cli.common import console
 from mbtl.errors import InvalidInput
 from mbtl.study import Study
 from mbtl.study.database import as_url, database_file
-from mbtl.study.study import estimate, to_train_again
+from mbtl.study.study import begin_again, estimate
 
 _LOOK = 0.5
 """Seconds between looks."""
@@ -58,8 +58,8 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
         start: the command that starts one.
         retry_failed: what failed is to be trained again.
     """
-    for number in to_train_again(study) if retry_failed else []:
-        study.retry(number)
+    if retry_failed:
+        begin_again(study)
     if study.is_finished:
         return
     _say(f"start workers, as many as you like, wherever the database is reached:\n  {start}")

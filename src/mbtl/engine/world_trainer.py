@@ -126,7 +126,7 @@ class WorldTrainer:
     @property
     def on_sets(self) -> dict[str, str]:
         """How the recipe of one policy for several contexts differs."""
-        best = f"the best of {_JUDGED} evaluations a unit"
+        best = f"the best of about {_JUDGED} evaluations a unit"
         return {
             "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
             "layers": "twice as wide as `hidden`, by PPO that counts steps in worlds of no own "
@@ -255,7 +255,7 @@ class WorldTrainer:
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
         (`mbtl.engine.learners.growing`). It has the latest weights and does not evaluate itself,
         but that on several contexts by a recipe that counts episodes and keeps the best: twenty
-        times a unit each context is played once.
+        times a unit each context is played once, which its steps do not count, as a specialist's.
         Where it begins with the policy of another one, whose state is there, it inherits the
         latter's critic, optimiser, statistics and learning rate, and its actor before it was
         finished; else the critic, which no policy carries, begins anew.

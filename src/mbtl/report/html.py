@@ -21,6 +21,7 @@ from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
 from mbtl.report.subject import Subject
+from mbtl.report.summary import worst_first
 from mbtl.version import __version__
 
 _WORST = 5
@@ -105,9 +106,10 @@ def _article(i: int, subject: Subject, item: dict[str, Any]) -> str:
     told, space = len(subject.history), subject.space
     unasked = sum(pick.place is not None and pick.number is None for pick in subject.picks)
     units = subject.units[-1] - unasked if told else 0.0
-    facts = f"{subject.selector}, {told - unasked} trainings"
-    facts += f", {units:g} units" if told and units != told - unasked else ""
-    facts += f", {unasked} policies told unasked" if unasked else ""
+    asked = told - unasked
+    facts = f"{subject.selector}, {asked} training{'s' * (asked != 1)}"
+    facts += f", {units:g} units" if told and units != asked else ""
+    facts += f", {unasked} {'policy' if unasked == 1 else 'policies'} of yours" if unasked else ""
     facts += f", {space.n} contexts"
     if subject.kind == "study":
         facts += ", finished" if subject.finished else ", under way"
@@ -185,7 +187,7 @@ def _badly_served(subject: Subject) -> str:
             _number(float(served[i])),
             *("–" if values[i] != values[i] else f"{values[i]:.4g}" for _, values in score),
         ]
-        for i in np.argsort(routing.served, kind="stable")[:_WORST]  # fresh luck chooses nothing
+        for i in worst_first(routing)[:_WORST]
     ]
     table = _table(["context", "served by", "performance", *(head for head, _ in score)], rows)
     return f"<section><h2>Served worst</h2>{table}</section>"

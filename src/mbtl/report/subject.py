@@ -181,7 +181,7 @@ def _headline(summary: StudySummary, risk: float) -> tuple[str, ...]:
     if fresh:
         how = f"measured on {fresh_episodes(summary)}"
     how += "; +- is half a 95 % interval" if bar else ""
-    which = "the contexts" if risk == 1.0 else f"the worst {risk:.0%} of the contexts"
+    which = "the contexts" if risk == 1.0 else f"the worst {100 * risk:g}% of the contexts"
     return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over {which}", how
 
 

@@ -12,10 +12,12 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.objective import Bounds, value, worst_share_mean, worst_share_weights
 from mbtl.report.reference import REFERENCE_NAMES
+from mbtl.routing import Routing
 from mbtl.study import Study, Training
 from mbtl.study.closing_report import Baseline, fresh_value
 from mbtl.study.records import FreshReturns, ToldRow
@@ -236,7 +238,7 @@ def summarise_study(study: Study) -> StudySummary:
         best_single, served, v = fresh.best_single, fresh.served, fresh.value
         gain, gain_margin = fresh.gain, fresh.gain_margin
     others = routing.believed.max(axis=0) - routing.believed[best_single]
-    worst = int(routing.served.argmin())
+    worst = int(worst_first(routing)[0])
     tenth = worst_share_weights(routing.served, weights, TENTH)
     evaluated = [int(np.isfinite(row).sum()) for row in history.rows]
     counts = [row.episodes for row in state.rows]
@@ -265,6 +267,12 @@ def summarise_study(study: Study) -> StudySummary:
         serving=tuple(routing.route.tolist()),
         served=tuple(served.tolist()),
     )
+
+
+def worst_first(routing: Routing) -> NDArray[np.intp]:
+    """Contexts that count, those believed to be served worst first: fresh luck chooses nothing."""
+    order = np.argsort(routing.served, kind="stable")
+    return np.asarray(order[routing.space.weights[order] > 0.0])
 
 
 def _score_of(study: Study) -> tuple[str, str]:

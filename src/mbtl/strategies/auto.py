@@ -156,7 +156,9 @@ class Auto:
                 reason += f": the last doubling added {last:.3f}"
                 # one alone says little: a large gain may follow a small one
                 recent = float(np.mean([gain for gain, _ in standing.doublings[-2:]]))
-                rise = (self.doubt * rise + seen * recent) / (self.doubt + seen)
+                # a policy that stayed as it was, the best of its evaluations, is no luck
+                doubt = 0.0 if standing.stayed else self.doubt
+                rise = (doubt * rise + seen * recent) / (doubt + seen)
                 scatter = max(abs(recent) / 2.0, abs(recent - last), error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
             in_all = rise * np.log2((made.length + standing.left) / made.length)
@@ -280,6 +282,12 @@ class Standing:
                 noise = 0.0 if errors is None else np.linalg.norm(errors[[before, now]] * weights)
                 found.append((float(gain / np.log2(longer)), float(noise / np.log2(longer))))
         return found
+
+    @property
+    def stayed(self) -> bool:
+        """Whether the policy for all returned the same everywhere when it was trained longer."""
+        last = self.rows[self.for_all[-2:]]
+        return len(last) == 2 and bool((last[0] == last[1]).all())
 
     @cached_property
     def added(self) -> Array:

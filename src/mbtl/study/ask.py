@@ -25,8 +25,6 @@ from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
-TINY = 1e-9
-"""Performances that differ by less are the same."""
 LEAST_UNIT = 1e-6
 """Units that are no training any more."""
 
@@ -171,7 +169,7 @@ def _early_stop(state: StudyState) -> str | None:
             return f"V = {now.value:.4f}{sure} reaches the level {spec.stop_value:g}"
         if spec.stop_left is not None and spec.best_return is not None:
             most = float(state.bounds().normalise(spec.best_return))
-            if -TINY <= most - least < spec.stop_left:  # below: there is more, after all
+            if abs(most - least) < spec.stop_left:  # surely above: there is more, after all
                 within = f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest"
                 return f"{within} there can be, {most:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:

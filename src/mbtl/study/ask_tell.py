@@ -273,7 +273,9 @@ class AskTell:
 
         rows, spec = self.refresh().rows, self.spec
         if not rows:
-            raise StudyError("a portfolio needs the row of at least one policy, and none was told")
+            raise StudyError(
+                "a portfolio needs the row of at least one policy, and none was told; train one"
+            )
         folders = [
             self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
@@ -554,12 +556,18 @@ class AskTell:
         facts = {"steps": finite("steps", steps, 0.0), "pruned": pruned, "again": again}
         return self._answer("failed", pick, reason, traceback, **facts)
 
-    def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
-        """Record that a policy is trained and could not be evaluated; the pick stays open."""
-        return self._answer("deferred", pick, reason, traceback)
+    def defer(
+        self, pick: Pick, reason: str, *, traceback: str = "", steps: float | None = None
+    ) -> bool:
+        """Record that a policy is trained and could not be evaluated; the pick stays open.
+
+        Its training has had `steps` environment steps; None: not known.
+        """
+        steps = finite("steps", steps, 0.0)
+        return self._answer("deferred", pick, reason, traceback, steps=steps)
 
     def retry(self, pick: Pick | int) -> None:
-        """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
+        """Open a failed pick again: the next `ask` hands it out, and it spends no further unit.
 
         Its seed is another one, since with its own it might fail again. Likewise for one whose
         policy is trained and could not be evaluated: that policy is given up.

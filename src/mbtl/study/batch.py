@@ -336,7 +336,7 @@ class Batches:
             return True
         reason, trace = _reason(outcome), outcome.traceback
         if outcome.kept is not None:
-            if not self.study.defer(pick, reason, traceback=trace):
+            if not self.study.defer(pick, reason, traceback=trace, steps=outcome.kept.steps):
                 return False
             self.held.append(pick)
         else:
@@ -377,7 +377,8 @@ class Batches:
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         again = "with Failures(retry_failed=True) (--retry-failed)"
-        then = f"run again: the policy is kept and only evaluated; {again} it is trained again"
+        then = "run again: the policy is kept and only evaluated"
+        then += f"; {again} it is trained again" if pick.trains else ""
         if trouble.kept is None:
             then = f"run again, {again} to train there again"
         elif trouble.stage == "loading" and trouble.kept.artifact is not None:

@@ -141,7 +141,7 @@ def create_study(
                 f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
                 "to go on with it, or choose another name"
             ) from None
-        _check_same(study.state, spec)
+        _check_same(study.state, spec, name)
         if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
             study.extend(spec.budget if spec.steps is None else Steps(spec.steps))
         if spec.stop_left is None and study.spec.stop_left is not None:
@@ -202,8 +202,8 @@ def _spec(
     limits = None if pair is None else Bounds(*pair, direction, floor)
     if limits is not None and best is not None and limits.normalise(best) <= 0.0:
         raise InvalidInput(
-            f"no return is better than best_return, got {best:g}, which is performance 0 or less "
-            f"by the bounds {pair}"
+            f"best_return must be better than the return that counts as 0, got {best:g} with "
+            f"bounds {pair}; correct one of them"
         )
     _check_stopping(end, pair)
     if seed < 0:
@@ -326,7 +326,7 @@ def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
     return chosen
 
 
-def _check_same(state: StudyState, given: StudySpec) -> None:
+def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
     """Refuse other settings; what extends the study is none: a larger budget, all of it spent."""
     stored = state.spec
     now = replace(
@@ -343,8 +343,9 @@ def _check_same(state: StudyState, given: StudySpec) -> None:
         key, old, new = difference
         how = " (`mbtl run --all` asks for no end before the budget)" if key == "stop_left" else ""
         raise StudyMismatch(
-            f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
-            f"got {new!r}{how}; repeat the old setting, or begin anew with --new (or another name)"
+            f"a stored study ({name!r}) goes on only with the settings it was made with: {key} was "
+            f"{old!r}, got {new!r}{how}; repeat the old setting, or begin anew with --new (or "
+            "another name)"
         )
 
 
@@ -367,7 +368,7 @@ def _costs_of(
     for i in np.flatnonzero(~np.isfinite(array)):
         raise InvalidInput(
             f"the cost of a training (per_context of Cost) is a finite number, got {array[i]:g} "
-            f"for {space.describe(space.context(int(i)))}"
+            f"for {space.describe(space.context(int(i)))}; give what one costs there"
         )
     return tuple(array.tolist())
 

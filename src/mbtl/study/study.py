@@ -456,8 +456,8 @@ def run(
             again = failures.retry_failed
             if study.state.equipment is not None or again or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
-            for number in to_train_again(study) if again else []:
-                study.retry(number)
+            if again:
+                begin_again(study)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
@@ -493,11 +493,19 @@ def run(
     )
 
 
-def to_train_again(study: Study) -> list[int]:
-    """Picks that failed, and those nobody works on whose policies could not be evaluated."""
+def begin_again(study: Study) -> None:
+    """Open what failed, and where nobody works on it what gave a policy that cannot be evaluated.
+
+    A further evaluation that cannot be made trains nothing, so it is given up.
+    """
     state = study.refresh()
-    unusable = sorted(state.deferred.keys() & set(study.orphans))
-    return [one.pick for one in state.failures if not one.pruned] + unusable
+    for failed in [one for one in state.failures if not one.pruned]:
+        study.retry(failed.pick)
+    for number in sorted(state.deferred.keys() & set(study.orphans)):
+        if state.picks[number].length:
+            study.retry(number)
+        else:
+            study.fail(study.pick(number), state.deferred[number].reason)
 
 
 def _listed(callbacks: Any) -> Sequence[Callback]:
@@ -661,12 +669,11 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
 
 def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
     """Where policies are not where they were: a mistyped place must not be found at the end."""
-    store = study.artifacts
-    kept = [(i, row.policy) for i, row in enumerate(study.state.rows) if row.policy]
+    store, rows = study.artifacts, enumerate(study.state.rows)
+    kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
     if store is None or not kept:
         return
-    place = kept[-1][1]
-    if store.receipt(place) is None:
+    if store.receipt(kept[-1][1]) is None:
         where = store.root if isinstance(store, FolderStore) else store.url
         announce(
             "on_note",

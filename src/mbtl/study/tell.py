@@ -42,13 +42,15 @@ def _from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | N
 def is_late(state: StudyState, pick: Pick) -> bool:
     """True when a pick was somebody else's by now, or was answered by somebody else.
 
-    A pick that was given back, or whose lease has ended, may be answered until it is taken over.
+    A pick that was given back, or whose lease has ended, may be answered until it is taken over, or
+    tried again, which is of another seed.
     """
     if not (pick.token and _is_ours(state, pick)):
         return False
     record = state.picks[pick.number]
     if pick.number in state.open_picks:
-        return record.lease is not None and record.lease.token != pick.token
+        theirs = record.lease is not None and record.lease.token != pick.token
+        return theirs or pick.seed != state.seed_of(record)
     return record.answered_by != pick.token
 
 

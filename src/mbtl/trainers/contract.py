@@ -338,7 +338,7 @@ class FunctionTrainer:
     def __post_init__(self) -> None:
         for name, function in (("train", self.train_fn), ("evaluate", self.evaluate_fn)):
             if not callable(function):
-                raise InvalidInput(f"{name} must be a function, got {short(function)}")
+                raise InvalidInput(f"{name} must be a function, got {short(function)}; give one")
         if (self.save_fn is None) != (self.load_fn is None):
             raise InvalidInput(
                 "save and load come together, got only one of them; give both or neither"

@@ -28,7 +28,7 @@ from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds, Direction, direction_named
-from mbtl.plain import LARGEST, array_of, refused
+from mbtl.plain import LARGEST, array_of, refused, short
 from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
 from mbtl.zoo.benchmark.base import Levels, levels
@@ -298,10 +298,12 @@ def _agreed(space: ContextSpace, contexts: ArrayLike | None) -> ContextSpace:
     """
     if contexts is not None:
         given, own = array_of("contexts", contexts), context_values(space)
-        if given.shape != own.shape or not np.allclose(given, own):
+        near = 1e-6 * np.ptp(own, axis=0)
+        if given.shape != own.shape or not (np.abs(given - own) <= near).all():
             raise InvalidInput(
-                "contexts and space say the same, got others; leave one of them out (of a file, "
-                "the entry `space` where you changed its contexts)"
+                f"contexts and space say the same, got {short(given.tolist())} where the space has "
+                f"{short(own.tolist())}; leave one of them out (of a file, the entry `space` where "
+                "you changed its contexts)"
             )
     return space
 
