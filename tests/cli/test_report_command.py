@@ -30,7 +30,7 @@ def test_studies_and_matrices_become_one_page(mbtl_command, tmp_path, stored):
     text = (tmp_path / "new" / "page.html").read_text(encoding="utf-8")
     assert done["bytes"] == len(text.encode())
     assert text.count("<article") == 2
-    assert "1 trainings, 12 contexts, under way" in text
+    assert "1 training, 12 contexts, under way" in text
 
 
 @pytest.mark.parametrize(
