@@ -246,7 +246,7 @@ class Routing:
             predicted = predicted[route[predicted] != alone]
         doubt = self._error(route, alone, weights, predicted) if len(predicted) else 0.0
         doubt = float(np.hypot(doubt, spread))
-        if self.episodes is None or self.episodes.errors is None:
+        if not left_out:
             return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
         value, variance, freedom = self._cross_fitted(route, alone, left_out)
         margin = float(np.hypot(student(freedom) * np.sqrt(variance), SURE * doubt))
@@ -255,10 +255,10 @@ class Routing:
     def _means(self, targets: Indices) -> Array:
         """(1 + F, k, T) what is believed, and had each fold of the episodes been left out.
 
-        Without noise that is known there are no folds.
+        There are no folds without noise that is known, nor of a V of the worst, which needs none.
         """
         episodes = self.episodes
-        if episodes is None or episodes.errors is None:
+        if self.risk < 1.0 or episodes is None or episodes.errors is None:
             return self.beliefs.on(targets)[0][None]
 
         def told(row: Indices, target: Indices) -> Array:

@@ -151,7 +151,7 @@ def test_native_code_that_never_returns_is_recorded_and_ends_the_process(folder)
 @pytest.mark.parametrize("gap", [pytest.param(0.0, marks=pytest.mark.long), 0.01])
 def test_five_interrupts_are_one(folder, gap):
     process = begun(("run", "own.py:slow", "--no-rehearsal"), cwd=folder, stdout=-1, text=True)
-    wait_until(lambda: list(folder.glob("runs/*/.study.db.*.lock")), process)  # the run has begun
+    wait_until(lambda: list(folder.glob("runs/*/.study.db.*.lock")), process, 600.0)  # it has begun
     for _ in range(5):
         process.send_signal(signal.SIGINT)
         time.sleep(gap)

@@ -100,10 +100,10 @@ def test_workers_and_their_simulators_end_with_their_master(tmp_path, command, n
     assert not list(tmp_path.glob("scratch-*"))
 
 
-def wait_until(happened, program=None):
+def wait_until(happened, program=None, limit=HANGING):
     began = time.monotonic()
     while not happened():
-        assert time.monotonic() - began < HANGING
+        assert time.monotonic() - began < limit
         assert program is None or program.poll() is None
         time.sleep(0.1)
 

@@ -73,6 +73,19 @@ def fails(when, error=RuntimeError):
     return broken
 
 
+def of_the_second(trainer, broken):
+    """An evaluation of the second policy, and of no other one, is `broken(contexts)`."""
+    lost = []
+
+    def evaluate(count, contexts):
+        policy = trainer.evaluated[-1][0]
+        if count == 2 and not lost:
+            lost.append(policy)
+        return broken(contexts) if lost == [policy] else None
+
+    return evaluate
+
+
 def wrong_shape(_, contexts):
     return [0.0] * (len(contexts) + 1)
 
@@ -157,16 +170,8 @@ def test_a_failed_evaluation_spends_nothing_and_is_done_again_at_the_end(tmp_pat
 
 @pytest.mark.parametrize("saves", [True, False])
 def test_an_evaluation_that_fails_twice_waits_for_the_next_run(tmp_path, saves):
-    trainer, lost = Bench(saves=saves), []
-
-    def evaluate(count, contexts):
-        policy = trainer.evaluated[-1][0]
-        if count == 2 and not lost:
-            lost.append(policy)
-        if lost == [policy]:
-            raise RuntimeError("no display")
-
-    trainer.breaks["evaluate"] = evaluate
+    trainer = Bench(saves=saves)
+    trainer.breaks["evaluate"] = of_the_second(trainer, fails(lambda contexts: True))
     study = study_in(tmp_path).run(trainer=trainer).study
     assert len(study.state.rows) == 4
     assert list(study.state.deferred) == [1]
@@ -181,15 +186,9 @@ def test_an_evaluation_that_fails_twice_waits_for_the_next_run(tmp_path, saves):
 @pytest.mark.parametrize("saves", [True, False])
 def test_a_policy_that_no_evaluation_survives_is_trained_again_on_request(tmp_path, saves):
     """Another seed gives another policy, and until somebody asks the first one is kept."""
-    trainer, bad = Bench(saves=saves), []
-
-    def evaluate(count, contexts):
-        policy = trainer.evaluated[-1][0]
-        if count == 2 and not bad:
-            bad.append(policy)
-        return np.full(len(contexts), np.nan) if bad == [policy] else None
-
-    trainer.breaks["evaluate"] = evaluate
+    trainer = Bench(saves=saves)
+    nothing = of_the_second(trainer, lambda contexts: np.full(len(contexts), np.nan))
+    trainer.breaks["evaluate"] = nothing
     study = study_in(tmp_path).run(trainer=trainer, report=False).study
     for _ in range(2):  # nothing is trained, and nothing is over
         assert list(study.state.deferred) == [1]

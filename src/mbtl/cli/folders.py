@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 from mbtl.cli.common import console
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput
 from mbtl.study.database import check_name, check_path, shown
-from mbtl.study.storage import study_names
+from mbtl.study.storage import names_in
 
 DATABASE = "study.db"
 
@@ -21,10 +20,7 @@ def study_in(folder: Path) -> str:
     Raises:
         InvalidInput: it holds several, none of which is called like the folder.
     """
-    own, place, names = folder.resolve().name, folder / DATABASE, []
-    if place.is_file():
-        with contextlib.suppress(StorageError):  # opening it says what is wrong
-            names = study_names(place)
+    own, names = folder.resolve().name, names_in(folder / DATABASE)
     if own in names or not names:
         return own
     if len(names) > 1:

@@ -138,7 +138,7 @@ def of_study(study: Study) -> Subject:
         ),
         provenance=made,
         finished=study.is_finished,
-        headline=_headline(summary, spec.risk),
+        headline=_headline(summary),
         beside=beside_table(summary),
         served=np.array(summary.served) if known else None,
         beside_served={
@@ -169,7 +169,7 @@ def _columns(study: Study, summary: StudySummary) -> dict[str, Array]:
     }
 
 
-def _headline(summary: StudySummary, risk: float) -> tuple[str, ...]:
+def _headline(summary: StudySummary) -> tuple[str, ...]:
     """V with its interval, the mean return that it is, and what it is measured on."""
     fresh = summary.fresh_value is not None
     v = summary.fresh_value if fresh else summary.value
@@ -181,8 +181,7 @@ def _headline(summary: StudySummary, risk: float) -> tuple[str, ...]:
     if fresh:
         how = f"measured on {fresh_episodes(summary)}"
     how += "; +- is half a 95 % interval" if bar else ""
-    which = "the contexts" if risk == 1.0 else f"the worst {100 * risk:g}% of the contexts"
-    return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over {which}", how
+    return f"V = {v:.3f}{bar}", f"{summary.returned(v)} over {summary.over}", how
 
 
 def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], ...]:

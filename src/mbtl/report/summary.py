@@ -134,6 +134,12 @@ class StudySummary:
         """Those whose rows are known."""
         return [pick for pick in self.picks if pick.place is not None]
 
+    @property
+    def over(self) -> str:
+        """What V is the mean over."""
+        share = "" if self.risk == 1.0 else f"worst {100 * self.risk:g}% of the "
+        return f"the {share}contexts"
+
     def score_of(self, performance: float) -> float:
         """The score that a performance is."""
         low, high = self.bounds

@@ -109,7 +109,7 @@ def estimate(summary: StudySummary) -> list[str]:
     v = _with_margin(summary.value, summary.value_margin)
     how = f"estimated from the episodes that chose the policies{_extrapolated(summary.measured)}"
     if summary.risk < 1.0:
-        how = f"the mean over the worst {100 * summary.risk:g}% of the contexts, {how}"
+        how = f"the mean over {summary.over}, {how}"
     return [f"V = {v}, {how}."]
 
 

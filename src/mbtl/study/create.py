@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch, UnknownName
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
 from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
 from mbtl.selectors import Selector
@@ -30,7 +29,7 @@ from mbtl.study.problem import Beside, Problem, ProblemFacts, check_problem, fac
 from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec, check_spec
 from mbtl.study.state import StudyState
-from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, study_names
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, names_in
 from mbtl.study.study import Study
 from mbtl.trainers.contract import Trainer
 from mbtl.version import __version__
@@ -153,9 +152,7 @@ def create_study(
 def _usual_name(address: str | None) -> str:
     """Of a study that has none: that of the only one in a file, so that it is found again."""
     file = None if address is None else database_file(address)
-    names: list[str] = []
-    with suppress(StorageError):  # opening it says what is wrong
-        names = study_names(str(address)) if file is not None and file.is_file() else []
+    names = [] if file is None else names_in(file)
     return names[0] if len(names) == 1 else "study"
 
 

@@ -17,6 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -276,6 +277,13 @@ def study_names(url: str | Path) -> list[str]:
             return [str(name) for (name,) in connection.execute(query)]
     finally:
         engine.dispose()
+
+
+def names_in(file: Path) -> list[str]:
+    """The same of a file; none where there is none, or it cannot be read: opening it says why."""
+    with suppress(StorageError):
+        return study_names(file) if file.is_file() else []
+    return []
 
 
 def _pack(event: Event) -> bytes:
