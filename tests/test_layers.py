@@ -115,7 +115,7 @@ PUBLIC = (
 )  # fmt: skip
 """Modules of the tool that the API reference documents, with an `__all__`."""
 NOT_PUBLIC = {
-    "a type: arrays of float64": "arrays.Array",
+    "arrays of float64, and those that many share": "arrays.Array arrays.unwritable",
     "commands of the zoo look, print and end like the tool's": (
         "cli.adapt.context_of cli.common.JsonFlag cli.common.LongWork cli.common.console "
         "cli.common.interruptible cli.common.print_json cli.common.printer"
@@ -126,7 +126,7 @@ NOT_PUBLIC = {
         "files.read_arrays files.read_json portfolio.archive.MANIFEST"
     ),
     "input is checked, and refused in the same words": (
-        "plain.LARGEST plain.array_of plain.refused plain.short plain.whole"
+        "plain.LARGEST plain.array_of plain.finite plain.real plain.refused plain.short plain.whole"
     ),
     "processes and threads are counted and ended by one rule": (
         "processes.native_threads processes.threads_for processes.usable_cores "

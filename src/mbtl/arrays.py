@@ -1,17 +1,27 @@
 """The array type of the core: float64 everywhere, shapes in the docstrings."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Shared = TypeVar("Shared", bound=NDArray[Any] | None)
 
 
 def uniform_weights(n: int) -> Array:
     """(n,) equal target weights, sum 1."""
     return np.full(n, 1.0 / n)
+
+
+def unwritable(array: Shared) -> Shared:
+    """The same numbers, for many to share: nobody writes into them by this name."""
+    if array is None:
+        return array
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def python_value(value: Any) -> Any:

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, unwritable
 from mbtl.errors import InvalidInput
 from mbtl.objective import generalisation_performance
 
@@ -96,6 +96,8 @@ class History:
             raise InvalidInput(
                 f"errors must have the shape of the rows {self.rows.shape}, got {self.errors.shape}"
             )
+        for name in ("rows", "errors", "others"):
+            object.__setattr__(self, name, unwritable(getattr(self, name)))
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -163,7 +165,7 @@ class History:
     @cached_property
     def best(self) -> Array:
         """(N,) generalisation performance so far; -inf before the first row."""
-        return self.at_least(generalisation_performance(self.rows))
+        return unwritable(self.at_least(generalisation_performance(self.rows)))
 
     @cached_property
     def training_performance(self) -> Array:

@@ -57,6 +57,12 @@ class Bare:
         return Proposal(int(np.flatnonzero(history.open_mask(problem.n))[-1]), "the last one")
 
 
+def test_several_contexts_may_be_given_one_after_the_other():
+    assert Proposal(0, "", sources=(i for i in (2, 0, 1))).contexts == (0, 1, 2)
+    with pytest.raises(InvalidInput, match="on several, got 5"):
+        Proposal(0, "", sources=5)
+
+
 def test_one_method_is_enough_for_a_selector():
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
     study = mbtl.create_study(space, budget=2, strategy=Bare())
@@ -66,6 +72,9 @@ def test_one_method_is_enough_for_a_selector():
     bare = Bare()
     bare.traits = Traits(one_axis=True)  # it may say what it can
     assert traits_of(get_selector(bare)).one_axis
+    bare.traits = "deterministic"
+    with pytest.raises(InvalidInput, match=r"selectors.Traits\(...\), got 'deterministic'"):
+        mbtl.create_study(space, budget=2, strategy=bare)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +93,9 @@ def test_an_object_that_is_no_selector_is_refused_in_one_sentence(given, match):
         (Proposal(7, ""), "from 0 to 4, .*got 7"),
         (Proposal(1.5, ""), "got 1.5"),
         (Proposal(2, ""), "neither trained, under way nor failed, got 2"),
+        (Proposal(1, None), "a text as its reason and .*, got reason=None"),
+        (Proposal(1, "", notes="a fit fell back"), "notes='a fit fell back'"),
+        (Proposal(1, "", acquisition=np.nan), "acquisition of a proposal is a number, .*got nan"),
     ],
 )
 def test_a_proposal_that_breaks_the_contract_is_refused_and_the_next_asker_goes_on(proposed, match):

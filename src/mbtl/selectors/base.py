@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, unwritable
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
@@ -62,6 +62,8 @@ class SelectionProblem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "budget", whole("budget", self.budget))
+        for name in ("unit", "steps", "weights", "costs", "trainable"):
+            object.__setattr__(self, name, unwritable(getattr(self, name)))
         if self.trainable is not None and (
             self.trainable.shape != (self.n,) or self.trainable.dtype != bool
         ):
@@ -173,10 +175,18 @@ class Proposal:
     targets: tuple[int, ...] | None = None
     sources: tuple[int, ...] = ()
 
+    def __post_init__(self) -> None:
+        given: Any = () if self.sources is None else self.sources
+        if not isinstance(given, Iterable):
+            raise InvalidInput(
+                f"sources are the contexts of a training on several, got {short(given)}"
+            )
+        object.__setattr__(self, "sources", tuple(given))  # an array or a generator will do
+
     @property
     def given(self) -> tuple[Any, ...]:
-        """All that is trained on, as it was given: an array, or None, will do, too."""
-        return tuple(() if self.sources is None else self.sources) or (self.source,)
+        """All that is trained on, as it was given."""
+        return self.sources or (self.source,)
 
     @property
     def contexts(self) -> tuple[int, ...]:

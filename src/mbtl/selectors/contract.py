@@ -8,6 +8,7 @@ enough (`Proposes`). What else a selector may have: `traits`, `without` (`Learne
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -70,8 +71,17 @@ class LearnedSelector(Selector, Protocol):
 
 
 def traits_of(selector: Proposes) -> Traits:
-    """What a selector says of itself; one that says nothing can only propose."""
-    said: Traits = getattr(selector, "traits", Traits())
+    """What a selector says of itself; one that says nothing can only propose.
+
+    Raises:
+        InvalidInput: it says something else.
+    """
+    said = getattr(selector, "traits", Traits())
+    if not isinstance(said, Traits):
+        raise InvalidInput(
+            f"traits of a selector are mbtl.selectors.Traits(...), got {short(said)} from "
+            f"{name_of(selector)!r}"
+        )
     return said
 
 
@@ -138,6 +148,23 @@ def check_longer(done: float, length: float, by: str = "") -> None:
         )
 
 
+def _check_said(name: str, proposal: Proposal) -> None:
+    """Refuse words and numbers beside a training that could not be kept."""
+    notes = proposal.notes if isinstance(proposal.notes, (tuple, list)) else (None,)
+    if not all(isinstance(words, str) for words in (proposal.reason, *notes)):
+        raise InvalidInput(
+            "a proposal has a text as its reason and texts as its notes, got "
+            f"reason={short(proposal.reason)} and notes={short(proposal.notes)} from {name!r}"
+        )
+    for what in ("acquisition", "chance_left"):
+        number = getattr(proposal, what)
+        if number is not None and not is_finite(number, sys.float_info.max):
+            raise InvalidInput(
+                f"{what} of a proposal is a number, or None where there is none, got "
+                f"{short(number)} from {name!r}"
+            )
+
+
 def check_proposal(
     selector: Proposes, proposal: Any, history: History, *, any_training: bool
 ) -> None:
@@ -154,7 +181,11 @@ def check_proposal(
         )
     source, start, length = proposal.source, proposal.start, proposal.length
     some = proposal.given
-    proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in (*some, source))
+    _check_said(name, proposal)
+    proper = all(
+        isinstance(one, (int, np.integer)) and not isinstance(one, bool) and 0 <= one < n
+        for one in (*some, source)
+    )
     if not (proper and len(some) == len(set(some)) and source in some):
         got = short(source)
         if some != (source,):
@@ -172,7 +203,8 @@ def check_proposal(
         if not history.open_mask(n)[source]:
             raise InvalidInput(
                 "a selector proposes contexts that are neither trained, under way nor failed, got "
-                f"{source} from {name!r}; `history.open_mask` says which are open"
+                f"{source} again from {name!r} at pick {len(history.asked) + 1}; "
+                "`history.open_mask` says which are open"
             )
     rows = len(history)
     if start is not None and not (isinstance(start, (int, np.integer)) and 0 <= start < rows):

@@ -337,11 +337,13 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
     )
     difference = stored.space.difference(given.space) or first_difference(was, now_record)
     if difference:
-        key, old, new = difference
+        key, *values = difference
+        usual = key.startswith("selector.")  # settings that are the default are not stored
+        old, new = ("the default" if usual and v is None else repr(v) for v in values)
         how = " (`mbtl run --all` asks for no end before the budget)" if key == "stop_left" else ""
         raise StudyMismatch(
             f"a stored study ({name!r}) goes on only with the settings it was made with: {key} was "
-            f"{old!r}, got {new!r}{how}; repeat the old setting, or begin anew with --new (or "
+            f"{old}, got {new}{how}; repeat the old setting, or begin anew with --new (or "
             "another name)"
         )
 

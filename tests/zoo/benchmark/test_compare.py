@@ -8,7 +8,7 @@ import pytest
 
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.selectors import get_selector
-from mbtl.selectors.base import Proposal
+from mbtl.selectors.base import Exhausted, Proposal
 from mbtl.selectors.contract import Traits, traits_of
 from mbtl.zoo.benchmark import TransferMatrix, compare, linear_gap_world, random_curve
 from mbtl.zoo.benchmark.compare import default_selectors
@@ -126,16 +126,35 @@ def test_a_selector_of_a_users_own_is_run_with_all_seeds_unless_it_says_that_one
     assert not traits_of(get_selector("random")).deterministic
 
 
-@pytest.mark.parametrize(("source", "match"), [(2, "2 again from 'stuck' at pick 2"), (3, "got 3")])
-def test_a_context_proposed_again_or_that_is_none_is_refused(source, match):
-    class Stuck:
-        name = "stuck"
+class Stuck:
+    name = "stuck"
 
-        def propose(self, problem, history, rng):
-            return Proposal(source, "always")
+    def __init__(self, answer):
+        self.answer = answer
 
+    def propose(self, problem, history, rng):
+        if not isinstance(self.answer, Exception):
+            return self.answer
+        if history.sources:
+            raise self.answer
+        return Proposal(0, "")
+
+
+@pytest.mark.parametrize(
+    ("answer", "match"),
+    [
+        (Proposal(2, "always"), "2 again from 'stuck' at pick 2"),
+        (Proposal(3, "always"), "got 3"),
+        (Proposal(1.0, ""), "got 1.0"),
+        (Proposal(True, ""), "got True"),
+        (Proposal(0, "", sources=(0, 1)), "one context, from scratch"),
+        (None, "got NoneType None from 'stuck'"),
+        (Exhausted("enough"), "2 picks of each selector, got none at pick 2 from 'stuck': enough"),
+    ],
+)
+def test_what_no_study_would_take_is_refused_in_a_comparison_too(answer, match):
     with pytest.raises(InvalidInput, match=match):
-        compare([Stuck()], [TransferMatrix.of(np.eye(3)[None])], budget=2)
+        compare([Stuck(answer)], [TransferMatrix.of(np.eye(3)[None])], budget=2)
 
 
 def test_a_file_and_the_id_of_one_matrix_are_held_out_alike(tmp_path):
@@ -197,6 +216,12 @@ def test_wrong_use_is_refused_before_any_work(selectors, kwargs, error, match):
     with pytest.raises(error, match=match):
         compare(selectors, [WORLD], on_step=steps.append, **kwargs)
     assert steps == []
+
+
+@pytest.mark.parametrize("matrices", [WORLD, "all", None])
+def test_matrices_are_given_in_a_list(matrices):
+    with pytest.raises(InvalidInput, match="matrices are given in a list"):
+        compare(["random"], matrices)
 
 
 def test_a_budget_beyond_several_matrices_names_them_all():

@@ -131,6 +131,13 @@ def test_copies_need_their_parents(tmp_path):
         one.train(one.parts(("tuned",))[0])
 
 
+def test_a_build_that_ends_before_there_are_parents_may_go_on(tmp_path):
+    whole = build(tmp_path, ids=IDS[:1])
+    short = replace(whole, until=0.5)
+    assert {part.kind for part in short.parts()} == {"generalists", "specialists"}
+    assert short.claim == whole.claim
+
+
 def test_what_differs_in_more_than_contexts_is_not_built_together(tmp_path):
     one = build(tmp_path)
     other = replace(one.trainers[1], timesteps=2560)

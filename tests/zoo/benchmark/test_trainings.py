@@ -1,5 +1,7 @@
 """Replay of strategies on transfer data: what is asked for is rounded, charged and answered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,8 @@ def test_what_no_study_would_take_is_refused_in_a_replay_too(proposal, words):
     [
         ({"seed": 3}, "seed is an index from 0 to 0, got 3"),
         ({"seed": "x"}, "seed must be a whole number"),
+        ({"abilities": "length"}, "abilities are some of .*, in a list, got 'length'"),
+        ({"chance": 0.5}, "seed must be a whole number, got 0.5"),
         ({"abilities": {"lenght"}}, "abilities are some of .*got .'lenght'"),
         ({"budget": 2.5}, "budget must be a whole number, got 2.5"),
         ({"budget": 0}, "budget must be 1 or more units, got 0"),
@@ -102,10 +106,37 @@ def test_a_replay_that_cannot_be_is_refused(how, words):
 
     def replayed():
         world = TransferWorld(DATA, how["seed"], abilities=how["abilities"])
-        return replay_trainings(how["strategy"], world, how["budget"])
+        return replay_trainings(how["strategy"], world, how["budget"], seed=how.get("chance", 0))
 
     with pytest.raises(MbtlError, match=words):
         replayed()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"sources": [2, 0]}, r"rising, got array\(\[2, 0\]\)"),
+        ({"sources": np.arange(40, 43)}, "indices of contexts from 0 to 40"),
+        ({"specialists": DATA.specialists[0]}, r"shape \(1, 2, 21, 41\), got float64 of shape"),
+        ({"generalists": {2.0: 0.0, 1.0: 0.0}}, r"rising, got \[2.0, 1.0\]"),
+        ({"generalists": {-1.0: 0.0}}, "units of a training must be finite and > 0.*got -1.0"),
+        (
+            {"tuned": {(1.0, 0.5): np.full_like(DATA.specialists, np.inf)}},
+            r"tuned\[1, 0.5\] must be finite",
+        ),
+        ({"std": {}}, "std of specialists must be finite numbers"),
+    ],
+)
+def test_transfer_data_that_cannot_be_are_refused(wrong, words):
+    with pytest.raises(InvalidInput, match=words):
+        replace(DATA, **wrong)
+
+
+def test_data_may_lack_policies_for_all_and_copies():
+    alone = {"specialists": DATA.std["specialists"]}
+    data = replace(DATA, generalists={}, tuned={}, std=alone, specialists=DATA.specialists.tolist())
+    run = replay_trainings("auto", TransferWorld(data, 0), 3)
+    assert (len(run.trainings), len(run.refused[0].contexts)) == (3, data.sources.size)
 
 
 @pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "specialists"])

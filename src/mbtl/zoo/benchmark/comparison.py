@@ -55,7 +55,7 @@ def _grouped(record: dict[str, Any], **groups: Mapping[str, str]) -> dict[str, A
 _CLOSED = {"at_K": "closed_at_K", "under_curve": "closed_under_curve"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run(Record):
     """One selector on one matrix seed.
 
@@ -507,7 +507,7 @@ def _over_matrices(tables: Sequence[SeedTable]) -> Array | None:
 # ---- the whole -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Every run of a comparison, and its summary; shown, it is the table of `mbtl bench`.
 

@@ -187,7 +187,7 @@ class Kinds:
             for kind, lanes, marks, parent in wanted
             for part in self._grouped(kind, lanes, marks, parent)
         ]
-        names = dict.fromkeys(name for part in found for name in (part.kind, part.asked))
+        names = dict.fromkeys((*KINDS, *(part.asked for part in found)))
         for kind in kinds:
             check_known("kind of training", kind, names)
         return [part for part in found if {part.kind, part.asked} & set(kinds)]
@@ -406,7 +406,8 @@ class Kinds:
         """JSON-able; what a folder must have been begun with to go on."""
         recipes = [recipe_of(trainer) for trainer in self.trainers]
         each = [(cmdp.id, cmdp.version, dict(cmdp.settings)) for cmdp in self.cmdps]
-        groups = [len(part.lanes) for part in self.parts()]
+        whole = replace(self, until=GENERALIST_UNITS[-1])  # it may go on to more units
+        groups = [len(part.lanes) for part in whole.parts()]
         own = {"problems": each, "recipes": recipes, "on_several": dict(self.trainer.on_sets)}
         return {**own, "seeds": self.seeds, "groups": groups}
 

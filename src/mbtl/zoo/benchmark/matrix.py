@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, unwritable
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
 from mbtl.files import MALFORMED
@@ -345,23 +345,23 @@ class TransferMatrix:
 
     def __post_init__(self) -> None:
         returns = checked_returns(self.returns, square=self.sources is None)
-        object.__setattr__(self, "returns", _read_only(returns))
+        object.__setattr__(self, "returns", unwritable(returns))
         object.__setattr__(self, "sources", checked_sources(self.sources, returns))
         if self.space.n != self.n:
             raise InvalidInput(
                 f"contexts must be one per target of `returns` ({self.n}), got {self.space.n}"
             )
         if self.std is not None:
-            object.__setattr__(self, "std", _read_only(checked_deviations(self.returns, self.std)))
+            object.__setattr__(self, "std", unwritable(checked_deviations(self.returns, self.std)))
         if self.fresh_returns is not None:
             fresh = checked_like(self.returns, self.fresh_returns, "fresh_returns")
             fresh = checked_returns(fresh, "fresh_returns", square=self.sources is None)
-            object.__setattr__(self, "fresh_returns", _read_only(fresh))
+            object.__setattr__(self, "fresh_returns", unwritable(fresh))
         n_halves = 1 if self.fresh_returns is None else 2
         object.__setattr__(self, "episodes", checked_episodes(self.episodes, n_halves))
         shape = (self.n_seeds, n_halves, self.n)
         rows = checked_references(self.references, shape)
-        object.__setattr__(self, "references", {k: _read_only(row) for k, row in rows.items()})
+        object.__setattr__(self, "references", {k: unwritable(row) for k, row in rows.items()})
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be a finite number >= 0, got {self.theta!r}")
 
@@ -676,9 +676,3 @@ class TransferMatrix:
 
     def _levels(self) -> list[Levels]:
         return [levels(self, seed) for seed in range(self.n_seeds)]
-
-
-def _read_only(array: Floats) -> Floats:
-    view = array.view()
-    view.flags.writeable = False
-    return view

@@ -11,8 +11,8 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import Proposal, SelectionProblem
-from mbtl.selectors.contract import Selector
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
+from mbtl.selectors.contract import Selector, check_proposal
 
 
 class Replay(NamedTuple):
@@ -47,29 +47,28 @@ def replay(
         trial: their trial.
 
     Raises:
-        InvalidInput: it proposes a context more often than the problem allows, or one that is none.
+        InvalidInput: it proposes what breaks its contract, or nothing before all is spent.
     """
     history, proposals, seconds = History(n_targets=problem.n), [], 0.0
     for pick in range(problem.budget):
         rng = selection_rng(seed, trial, pick)
         start = time.perf_counter()
-        with threads_for(problem.n):
-            proposal = selector.propose(problem, history, rng)
+        try:
+            with threads_for(problem.n):
+                proposal = selector.propose(problem, history, rng)
+        except Exhausted as error:
+            raise InvalidInput(
+                f"a comparison takes {problem.budget} picks of each selector, got none at pick "
+                f"{pick + 1} from {selector.name!r}: {error}"
+            ) from error
         seconds += time.perf_counter() - start
-        source = proposal.source
-        _check(selector, problem, history, source)
+        check_proposal(selector, proposal, history, any_training=False)
+        source = int(proposal.source)
+        if source not in problem.sources:
+            raise InvalidInput(
+                f"a selector proposes contexts that one may train on, got {source} from "
+                f"{selector.name!r}; leave out those where problem.trainable is False"
+            )
         proposals.append(proposal)
         history = history.with_row(source, row_of(source))
     return Replay(history, tuple(proposals), seconds)
-
-
-def _check(selector: Selector, problem: SelectionProblem, history: History, source: int) -> None:
-    again = source in history.sources
-    if again or source not in problem.sources:
-        some = "" if problem.trainable is None else " and trainable"
-        raise InvalidInput(
-            f"a selector proposes contexts from 0 to {problem.n - 1} that are not yet trained"
-            f"{some}, got "
-            f"{source}{' again' if again else ''} from {selector.name!r} at pick "
-            f"{len(history) + 1}; leave out those in history.sources"
-        )

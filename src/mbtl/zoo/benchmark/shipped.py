@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -325,6 +325,8 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
     Raises:
         InvalidInput: there is none, or two have the same name.
     """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise InvalidInput(f"matrices are given in a list, got {short(names)}")
     opened: list[tuple[str, RowSource]] = []
     for name in names:
         if name == "all":

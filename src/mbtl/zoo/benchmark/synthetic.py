@@ -23,6 +23,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Integer
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
+from mbtl.plain import finite
 from mbtl.selectors.base import SelectionProblem, default_theta
 from mbtl.zoo.benchmark.base import BLOCK_BYTES
 
@@ -183,7 +184,11 @@ def linear_gap_world(
         noise: standard deviation of every entry.
         n_seeds: 3 when missing, or 1 without noise.
         name: what results call it.
+
+    Raises:
+        InvalidInput: a negative slope, or numbers that make no world.
     """
+    finite("slope", slope, 0.0)
     return SyntheticWorld(
         name=name,
         shape=(n,),

@@ -17,6 +17,7 @@ among `refused`. Policies are evaluated on all targets, whatever a proposal says
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History, Training, standard_errors
-from mbtl.plain import short, whole
+from mbtl.plain import finite, short, whole
 from mbtl.processes import threads_for
 from mbtl.routing import last_route
 from mbtl.seeds import selection_rng
@@ -63,7 +64,7 @@ class Row(NamedTuple):
     deviation: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrainingsRun:
     """What a strategy did with its units.
 
@@ -92,7 +93,12 @@ class TrainingsRun:
     history: History = field(repr=False)
 
     def at(self, units: float) -> float:
-        """V when so many units are paid; NaN before the first training."""
+        """V when so many units are paid; NaN before the first training.
+
+        Raises:
+            InvalidInput: that is no number of units.
+        """
+        finite("units", units)
         done = int(np.searchsorted(self.units, units + _LEAST, side="right"))
         return float(self.value[done - 1]) if done else float("nan")
 
@@ -112,7 +118,7 @@ class TransferWorld:
         data: TransferData,
         seed: int,
         theta: float | None = None,
-        abilities: frozenset[str] = ABILITIES,
+        abilities: Collection[str] = ABILITIES,
     ) -> None:
         """Nothing is trained yet.
 
@@ -122,11 +128,12 @@ class TransferWorld:
         seeds = len(data.specialists)
         if not 0 <= whole("seed", seed) < seeds:
             raise InvalidInput(f"seed is an index from 0 to {seeds - 1}, got {seed}")
-        if not abilities <= ABILITIES:
+        listed = isinstance(abilities, Collection) and not isinstance(abilities, str)
+        if not (listed and ABILITIES.issuperset(map(str, abilities))):
             raise InvalidInput(
-                f"abilities are some of {sorted(ABILITIES)}, got {sorted(map(str, abilities))}"
+                f"abilities are some of {sorted(ABILITIES)}, in a list, got {short(abilities)}"
             )
-        self.data, self.seed, self.abilities = data, seed, abilities
+        self.data, self.seed, self.abilities = data, seed, frozenset(abilities)
         self.theta = default_theta(data.n) if theta is None else theta
         self._place = {int(source): i for i, source in enumerate(data.sources)}
 
@@ -169,8 +176,8 @@ class TransferWorld:
         if len(asked.contexts) > 1:
             if parent is not None or not set(self._place) <= set(asked.contexts):
                 return {}
-            std = data.std["generalists"][:, seed]
-            return {u: (raw[seed], std[i]) for i, (u, raw) in enumerate(data.generalists.items())}
+            each, std = data.generalists, data.std.get("generalists", ())
+            return {u: (each[u][seed], of[seed]) for u, of in zip(each, std, strict=True)}
         place = self._place.get(asked.contexts[0])
         if place is None:
             return {}
@@ -217,6 +224,8 @@ def replay_trainings(
 ) -> TrainingsRun:
     """Let a strategy ask until its units are spent, or it has nothing more to ask for.
 
+    It ends after 50 trainings that the data cannot answer, too; `refused` of the run has them.
+
     Args:
         strategy: any of `mbtl.strategies`, selectors among them, by name, or your own.
         world: that answers and charges.
@@ -224,10 +233,10 @@ def replay_trainings(
         seed: root seed of the strategy's generators.
 
     Raises:
-        InvalidInput: a proposal breaks the contract, or is one that was made before; the budget is
-            no whole number.
+        InvalidInput: a proposal breaks the contract, or is one that was made before; the budget or
+            the seed is no whole number.
     """
-    strategy, budget = get_strategy(strategy), whole("budget", budget)
+    strategy, budget, seed = get_strategy(strategy), whole("budget", budget), whole("seed", seed)
     alone = not traits_of(strategy).any_training
     problem = world.problem(budget, any_training=not alone)
     rows, refused = list[Row](), list[Training]()

@@ -14,6 +14,7 @@ own, the same for all policies. `<kind>_std` has the deviation over all episodes
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, check_known
 from mbtl.objective import Bounds, direction_named
+from mbtl.plain import array_of, real, refused, short
 from mbtl.zoo.benchmark.matrix import REFERENCE, context_values, halves
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.shipped import data_folder, seed_files
@@ -55,6 +57,10 @@ class TransferData:
         references: name -> (S, 2, N), without any policy.
         unit_steps: environment steps, or episodes, of one unit.
         provenance: one record per seed.
+
+    Raises:
+        InvalidInput: shapes that do not fit together, numbers that are none, sources that are no
+            rising indices of contexts, or units that are not rising.
     """
 
     name: str
@@ -69,6 +75,44 @@ class TransferData:
     references: Mapping[str, Array]
     unit_steps: int
     provenance: tuple[Mapping[str, Any], ...]
+
+    def __post_init__(self) -> None:
+        sources, n = array_of("sources", self.sources), self.n
+        rising = sources.ndim == 1 and sources.dtype.kind in "iu" and (np.diff(sources) > 0).all()
+        if not (rising and sources.size and sources[0] >= 0 and sources[-1] < n):
+            raise InvalidInput(
+                f"sources are indices of contexts from 0 to {n - 1}, rising, got {short(sources)}"
+            )
+        marks, pairs = list(self.generalists), list(self.tuned)
+        for units in itertools.chain(marks, *pairs):
+            real("units of a training", units)
+        if marks != sorted({*marks}):
+            raise InvalidInput(f"units of generalists are rising, got {short(marks)}")
+        m, s = sources.size, len(self.provenance)
+        sizes: dict[str, tuple[int, ...]] = {
+            "specialists": (s, m, n),
+            "generalists": (len(marks), s, n),
+            "tuned": (len(pairs), s, m, n),
+        }
+        held = {
+            "sources": sources,
+            "specialists": _numbers("specialists", self.specialists, (s, 2, m, n)),
+            "generalists": {
+                units: _numbers(f"generalists[{units:g}]", rows, (s, 2, n))
+                for units, rows in self.generalists.items()
+            },
+            "tuned": {
+                pair: _numbers(f"tuned[{few_units(pair)}]", rows, (s, 2, m, n))
+                for pair, rows in self.tuned.items()
+            },
+            "std": {
+                kind: _numbers(f"std of {kind}", self.std.get(kind), size)
+                for kind, size in sizes.items()
+                if 0 not in size
+            },
+        }
+        for name, value in held.items():
+            object.__setattr__(self, name, value)
 
     @property
     def n(self) -> int:
@@ -96,6 +140,16 @@ class TransferData:
             f"TransferData({self.name!r}, {self.n_seeds} seeds, {len(self.sources)} sources, "
             f"generalists at {few_units(list(self.generalists))} units, {copies})"
         )
+
+
+def _numbers(name: str, given: Any, shape: tuple[int, ...]) -> Array:
+    """An array of finite numbers."""
+    array = array_of(name, given)
+    wrong = array.dtype.kind not in "fiu" or array.shape != shape
+    if wrong or refused(array).any():
+        what = f"{array.dtype} of shape {array.shape}" if wrong else "NaN, or infinite ones"
+        raise InvalidInput(f"{name} must be finite numbers of shape {shape}, got {what}")
+    return array.astype(np.float64, copy=False)
 
 
 def few_units(units: Sequence[float]) -> str:
