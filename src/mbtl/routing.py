@@ -244,7 +244,8 @@ class Routing:
         predicted = np.flatnonzero(~(measured[route, at] & (alone is None or measured[alone])))
         if alone is not None:
             predicted = predicted[route[predicted] != alone]
-        doubt = self._error(route, alone, weights, predicted) if len(predicted) else 0.0
+        some = route[predicted], targets[predicted], weights[predicted]
+        doubt = self.error(*some, alone) if len(predicted) else 0.0
         doubt = float(np.hypot(doubt, spread))
         if not left_out:
             return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
@@ -321,13 +322,21 @@ class Routing:
         found[there] = self.episodes.held(route[there], targets[there])
         return found
 
-    def _error(self, route: Indices, alone: int | None, weights: Array, some: Indices) -> float:
-        """Standard deviation of V, or of a gain, as far as some of the targets make it unsure."""
-        targets, weights = self.targets[0][some], weights[some]
+    def error(
+        self, route: Indices, targets: Indices | list[int], weights: Array, alone: int | None = None
+    ) -> float:
+        """Standard deviation of V, or of a gain, as far as some of the targets make it unsure.
+
+        Args:
+            route: (m,) who serves them.
+            targets: (m,).
+            weights: (m,) of them in V.
+            alone: whose V the gain is over; None: V itself.
+        """
         if alone is None:
-            return self.beliefs.error(route[some], targets, weights)
+            return self.beliefs.error(route, np.asarray(targets), weights)
         return self.beliefs.error(
-            np.concatenate([route[some], np.full(len(some), alone)]),
+            np.concatenate([route, np.full(len(route), alone)]),
             np.tile(targets, 2),
             np.concatenate([weights, -weights]),
         )

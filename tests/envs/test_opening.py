@@ -36,6 +36,15 @@ def test_what_lives_once_per_process_is_named_with_what_it_says_or_by_what_it_do
         once_per_process(only_one, CONTEXTS)
 
 
+def test_a_context_that_fails_alone_is_no_reason_for_processes():
+    def make_env(context):
+        if context == CONTEXTS[-1]:
+            raise ValueError("gain beyond the solver's range")
+        return Walk(context)
+
+    assert once_per_process(make_env, CONTEXTS) is None
+
+
 def test_libsumo_is_known_before_a_second_is_opened(monkeypatch):
     made = []
 

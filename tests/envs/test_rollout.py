@@ -8,6 +8,7 @@ from gymnasium.wrappers import TimeLimit
 from training_envs import Endless, Guess
 
 from mbtl.envs import rollout
+from mbtl.envs.references import Controller
 from mbtl.envs.rollout import ROWS, Actor, Job, play
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
@@ -196,6 +197,24 @@ class Named(Guess):
         *moved, info = super().step(action)
         told = {"score": 1e6, "final_score": "won", "worth": self.worth}
         return *moved, info | told
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_an_episode_in_which_nan_was_seen_counts_as_not_played(nested):
+    class Blind(Guess):
+        """From its second step on."""
+
+        def reset(self, **how):
+            seen, info = super().reset(**how)
+            return ({"x": (seen,)} if nested else seen), info
+
+        def step(self, action):
+            seen, *rest = super().step(action)
+            return ({"x": (seen * np.nan,)} if nested else seen * np.nan, *rest)
+
+    actor = Actor(Controller(lambda seen: 0))
+    found = play(jobs(Blind, [1, 3], [0, 1]), actor, max_envs=2)
+    assert np.isnan(found).all()
 
 
 def test_nothing_counts_by_its_name_alone():

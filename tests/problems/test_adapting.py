@@ -1,5 +1,7 @@
 """A policy is tuned for one target more, and kept where it is better there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from line_problem import load, save
@@ -29,6 +31,13 @@ fixed = mbtl.CMDP.from_functions(
     "toy", SPACE, train=lambda context, seed: context["x"], evaluate=evaluate, save=save, load=load,
     bounds=(0.0, 10.0),
 )  # fmt: skip
+
+
+def crash(contexts, seed, *, start=None, length=None):
+    return 1 / 0
+
+
+crashing = replace(problem, trainer=replace(problem.trainer, train_fn=crash))
 TOY = f"{__file__}:problem"
 
 
@@ -100,6 +109,14 @@ def test_what_cannot_be_done_costs_one_line(toy, mbtl_command, more, words):
     assert words in mbtl_command.refusal("adapt", "s/portfolio", *more)
 
 
+def test_a_training_that_fails_leaves_the_portfolio_as_it_was(toy, mbtl_command):
+    given = ("--to", "x=9", "--problem", f"{__file__}:crashing", "--trust")
+    code, _, told = mbtl_command("adapt", "s/portfolio", *given)
+    assert code == 1
+    assert "error: a policy could not be tuned for {'x': 9.0}: ZeroDivisionError" in told
+    assert len(load_portfolio("s/portfolio", trust=True)) == 2
+
+
 def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):
     known = load_portfolio("s/portfolio", load=toy.trainer.load)
     found = known.evaluate(toy, between=400)
@@ -117,6 +134,24 @@ def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):
         known.evaluate(toy, contexts=[])
     with pytest.raises(mbtl.MbtlError, match=r"\[0, 10\]"):
         known.evaluate(toy, contexts=[{"x": 11.0}])
+
+
+def test_episodes_without_a_return_are_left_out_of_what_is_served(toy):
+    known = load_portfolio("s/portfolio", load=toy.trainer.load)
+
+    def partly(policy, contexts, seeds):
+        found = np.array(evaluate(policy, contexts, seeds), float)
+        found[:, 0] = np.nan
+        found[[context["x"] > 8.0 for context in contexts]] = np.nan
+        return found
+
+    broken = replace(toy.trainer, evaluate_fn=partly)
+    found = known.evaluate(broken, contexts=[{"x": x} for x in (1.0, 3.3, 8.5)])
+    assert (len(found.contexts), found.lost, found.returns.shape) == (2, 1, (2, 4))
+    assert np.isfinite([found.value, found.margin, found.off]).all()
+    assert "1 more gave no episode" in repr(found)
+    with pytest.raises(mbtl.errors.TrainingFailed, match="NaN in all of 1 contexts"):
+        known.evaluate(broken, contexts=[{"x": 8.5}])
 
 
 def test_drawn_contexts_are_of_every_kind_of_axis():

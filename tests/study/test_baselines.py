@@ -50,6 +50,22 @@ def compared(study, baselines):
     study.record_fresh_returns(fresh, fresh, best_single=0, baselines=baselines)
 
 
+def test_a_context_that_nobody_can_play_does_not_cost_the_comparison():
+    def broken(policy, contexts, seeds):
+        told = evaluate(policy, contexts, seeds)
+        told["delay"][[context["demand"] == 5.0 for context in contexts]] = np.nan
+        return told
+
+    cmdp = problem(baselines={"fixed time": "fixed"})
+    study = mbtl.create_study(cmdp, budget=2, strategy="equidistant")
+    study.run(trainer=dataclasses.replace(cmdp.trainer, evaluate_fn=broken), progress=False)
+    summary = summarise_study(study)
+    (fixed,) = summary.baselines
+    assert summary.fresh_lost == 1
+    assert fixed.lead == pytest.approx(0.1, abs=0.05)
+    assert fixed.lead_margin > 0.01  # nobody knows of the fifth
+
+
 def test_the_score_has_a_direction_and_is_what_a_mapping_is_read_for():
     cmdp = problem()
     assert cmdp.direction == "minimize"

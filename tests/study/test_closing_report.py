@@ -6,6 +6,8 @@ import scipy.stats
 
 import mbtl
 from flat import created, ran
+from mbtl.report import summarise_study
+from mbtl.report.text import fresh_episodes
 from mbtl.seeds import Purpose
 from mbtl.study.closing_report import chances, drawn, estimated, plan_of
 
@@ -175,6 +177,32 @@ def test_a_context_that_cannot_be_played_does_not_cost_the_fresh_v(capsys):
     assert alone.run(lambda context, seed: context["x"], evaluate).fresh.contexts == 3
     told = capsys.readouterr().err
     assert "1 of 20 contexts had no fresh episode that counts: of these V is as believed" in told
+
+
+def test_a_region_that_never_plays_is_no_sample_of_the_others():
+    def evaluate(policy, contexts, seeds):
+        found = np.array(returns_of(policy, contexts, seeds))
+        found[[context["x"] > 0.7 for context in contexts]] = np.nan
+        return found
+
+    space, playing = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 20}), []
+    study = created(space, budget=3, bounds=(0.0, 1.0))
+
+    def counted(policy, contexts, seeds):
+        playing.extend(contexts)
+        return evaluate(policy, contexts, seeds)
+
+    fresh = study.run(lambda context, seed: context["x"], evaluate).fresh
+    x, sources = space.unit[:, 0], list(study.history.sources)
+    true = (1.0 - np.abs(x - x[sources][:, None]))[study.routing.route, np.arange(20)].mean()
+    noise = 0.1 / np.sqrt(20 * EPISODES)
+    assert abs(fresh.value - true) < fresh.margin
+    assert fresh.margin > 3.0 * noise  # what is believed of the region has its doubt
+    assert fresh.gain_margin > 2.5 * noise
+    said = fresh_episodes(summarise_study(study))
+    assert "each of 14 of the 20 contexts (6 more gave none)" in said
+    study.run(lambda context, seed: context["x"], counted, report="all")
+    assert playing == []  # they were tried
 
 
 def test_a_callback_that_fails_ends_the_run_also_at_the_report():

@@ -12,7 +12,7 @@ from line_problem import TRAINER, evaluate, line
 
 import mbtl
 from flat import created
-from mbtl.errors import InvalidInput, StudyError
+from mbtl.errors import InvalidInput, StudyError, UnsavedPolicies
 from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
 from mbtl.study.heartbeat import Keeper
@@ -129,6 +129,20 @@ def test_a_pick_that_was_taken_over_before_its_asker_heard_of_it_has_one_holder(
     assert [taken[0].number, mine.number] == [0, 1]
     assert first.tell(mine, row(mine.source))
     assert second.tell(taken[0], row(taken[0].source))
+
+
+def test_a_training_whose_processes_all_die_is_told_of(place, clock, capsys):
+    lost = mbtl.load_study(place)
+    for often in (0, 1, 2):
+        pick = lost.ask(lease=30.0)
+        assert lost.state.picks[pick.number].abandoned == often
+        clock.now += 31.0
+        lost = mbtl.load_study(place)
+    with pytest.warns(UnsavedPolicies):
+        lost.run(lambda context, seed: 0.0, lambda policy, contexts, seeds: np.zeros(len(contexts)))
+    assert "pick 1 was begun 3 times by processes that ended without a word" in (
+        capsys.readouterr().err
+    )
 
 
 def test_a_silent_worker_is_succeeded_and_its_row_comes_late(place, clock):

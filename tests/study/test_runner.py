@@ -13,7 +13,7 @@ from line_problem import line
 
 import mbtl
 from flat import created, ran
-from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnsavedPolicies
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed, UnsavedPolicies
 from mbtl.seeds import training_seed
 from mbtl.study import Callback
 from mbtl.study.closing_report import fresh_value
@@ -228,9 +228,37 @@ def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger():
     short.run(trainer=TRAINER, report=False)
     assert [p.source for p in short.state.picks] == [p.source for p in long.state.picks]
     assert np.array_equal(short.curve, long.curve)
-    for budget in (4, 3, 16):
+    for budget in (4, 3, 16, mbtl.Steps(9), mbtl.Cost(9.0)):
         with pytest.raises(InvalidInput, match="can only be raised"):
             short.extend(budget)
+
+
+def test_a_cost_can_be_raised_and_pays_for_one_training_at_least(tmp_path):
+    def paid(total, trainings=None):
+        budget = mbtl.Cost(total, np.full(15, 2.0), trainings)
+        study = mbtl.create_study(
+            SPACE, budget=budget, strategy="random", storage=tmp_path / "study.db",
+            load_if_exists=True, objective=mbtl.Objective(bounds=(-20.0, 0.0)),
+        )  # fmt: skip
+        return study.run(trainer=TRAINER, report=False).study
+
+    assert [len(paid(total).state.rows) for total in (5.0, 5.0, 9.0)] == [2, 2, 4]
+    study = mbtl.load_study(tmp_path)
+    study.extend(mbtl.Cost(11.0))
+    assert len(study.run(trainer=TRAINER, report=False).trainings) == 5
+    for budget in (12, mbtl.Cost(11.0), mbtl.Cost(8.0, trainings=15)):
+        with pytest.raises(InvalidInput, match=r"from cost 11 .*, got"):
+            study.extend(budget)
+    with pytest.raises(StudyMismatch, match=r"cost_budget was 11\.0, got 6\.0"):
+        paid(6.0)
+    with pytest.raises(InvalidInput, match="the cheapest costs 2, got 1"):
+        paid(1.0)
+
+
+def test_a_study_that_can_ask_for_nothing_says_so():
+    study = new(None, budget=2, strategy="one-policy")
+    with pytest.raises(TrainingFailed, match=r"nothing was trained: .*one context at a time"):
+        study.run(trainer=TRAINER)
 
 
 @pytest.mark.parametrize(

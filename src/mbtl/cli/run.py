@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -102,6 +103,11 @@ def run(
         raise InvalidInput(
             "a study pays in environment steps (--steps) or in trainings (--budget), got both; "
             "leave one out"
+        )
+    if report_all and (no_report or risk < 1.0):
+        raise InvalidInput(
+            "--report-all plays the fresh episodes on all contexts, got --no-report, or a --risk "
+            "below 1, which has none; leave one out"
         )
     pay = budget if steps is None else Steps(steps_of(steps))
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
@@ -238,7 +244,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         count = len(study.state.failures)
         notes.append(
             f"{count} {'training' if count == 1 else 'trainings'} failed: `mbtl study show "
-            f"{folder}` says why, --retry-failed trains there again"
+            f"{shlex.quote(str(folder))}` says why, --retry-failed trains there again"
         )
     if study.state.rows:
         portfolio = study.portfolio(trainer)

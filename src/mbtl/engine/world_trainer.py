@@ -506,14 +506,15 @@ class WorldTrainer:
             InvalidInput: there is another number of seeds than of contexts.
             TrainingFailed: a return is NaN or infinite.
         """
-        return checked_returns(self.evaluate_many([policy], contexts, seeds)[0], len(contexts))
+        returns = self.evaluate_many([policy], contexts, seeds)[0]
+        return checked_returns(returns, len(contexts), contexts)
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         found = self._measured([policy], contexts, seeds)
-        returns = checked_returns(found["score"][0], len(contexts))
+        returns = checked_returns(found["score"][0], len(contexts), contexts)
         if "steps" in found:
             return returns, found["steps"][0]
         return returns, _each_of(self.problem, contexts)[:, None] + np.zeros_like(returns)

@@ -163,7 +163,12 @@ def _tried(
             together = roll_together([as_one(env) for env in envs], actions, 0)
     except (InvalidInput, MissingExtra):
         raise
-    except Exception as error:  # it runs alone, so the other one is the reason
+    except Exception as error:  # one runs alone: if the other does, too, they cannot be together
+        try:
+            with opened(makers[1]) as (other,):
+                roll(as_one(other), actions, 0)
+        except Exception:
+            return None
         return Once(f"{_module(env)} ({type(error).__name__}: {error})")
     return None if difference(alone, together[0]) is None else Once(_module(env), silent=True)
 

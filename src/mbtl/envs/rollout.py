@@ -75,6 +75,7 @@ class _Place:
     left: int = 0  # strata of this episode that are still to be played
     observations: list[Any] = field(default_factory=list)  # one per decision maker
     total: float = 0.0
+    broken: bool = False  # somebody saw NaN in this episode, so it counts as not played
     steps: int = 0
     memory: tuple[Any, ...] | None = None  # state of a recurrent policy, None at an episode's start
     rng: np.random.Generator | None = None  # of sampled actions
@@ -95,6 +96,7 @@ class _Place:
                 [copied(first[a]) for a in self.env.agents] if self.is_team else [copied(first)]
             )
             self.total, self.steps, self.memory = 0.0, 0, None
+            self.broken = any(map(_has_nan, self.observations))
             self.rng = np.random.default_rng(action_seed(seed))
             if self.observations:
                 return True
@@ -116,6 +118,7 @@ class _Place:
     def _book(self, info: Mapping[str, Any]) -> None:
         """What an episode is worth, once all of its strata were played."""
         score = self.total if self.score is None else self.score.read(info)
+        score = np.nan if self.broken else score
         told = [float(info.get(name, np.nan)) for name in self.measures]
         self.worth = self.worth + self.share * np.array([score, *told])
         self.played += self.steps
@@ -129,6 +132,7 @@ class _Place:
         """Take one step with one action per decision maker; True when the episode is over."""
         ended, info = self._team_step(actions) if self.is_team else self._step(actions[0])
         self.steps += 1
+        self.broken = self.broken or any(map(_has_nan, self.observations))
         if self.steps > LONGEST_EPISODE:
             raise endless()
         if ended:
@@ -152,6 +156,14 @@ class _Place:
 
     def _is_foretold(self, info: Mapping[str, Any]) -> bool:
         return self.score is not None and self.score.is_foretold(info)
+
+
+def _has_nan(observation: Any) -> bool:
+    if isinstance(observation, dict):
+        return any(map(_has_nan, observation.values()))
+    if isinstance(observation, tuple):
+        return any(map(_has_nan, observation))
+    return bool(np.isnan(observation).any())
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
-from mbtl.episodes import Episodes
-from mbtl.errors import InvalidInput, StorageError, check_known
+from mbtl.episodes import Episodes, episode_moments
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed, check_known
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
@@ -333,6 +334,7 @@ class Portfolio:
         Raises:
             ContextMismatch: a context lies outside the axes.
             InvalidInput: there is no context.
+            TrainingFailed: no episode of any counts.
         """
         drawn = contexts is None
         some = self.space.between(between, seed) if contexts is None else list(map(dict, contexts))
@@ -349,7 +351,19 @@ class Portfolio:
             )
             rows |= dict(zip(mine, np.reshape(floats(played), (len(mine), -1)), strict=True))
         returns = np.array([rows[i] for i in range(len(some))])
-        return Served(self.space, tuple(some), tuple(choices), returns, self.bounds, drawn)
+        means = episode_moments(returns)[0]
+        returns, there = np.where(np.isnan(returns), means[:, None], returns), np.isfinite(means)
+        if not there.any():
+            raise TrainingFailed(f"no episode counts, got NaN in all of {len(some)} contexts")
+        return Served(
+            self.space,
+            tuple(compress(some, there)),
+            tuple(compress(choices, there)),
+            returns[there],
+            self.bounds,
+            drawn,
+            int((~there).sum()),
+        )
 
     # ---- keeping -----------------------------------------------------------------------------
 

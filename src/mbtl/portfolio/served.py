@@ -29,6 +29,7 @@ class Served:
         returns: (n, E) raw units.
         bounds: normalisation.
         drawn: the contexts are a random sample of the axes.
+        lost: how many more were played, and gave no episode that counts.
     """
 
     space: ContextSpace
@@ -37,6 +38,7 @@ class Served:
     returns: Array
     bounds: Bounds
     drawn: bool
+    lost: int = 0
 
     @property
     def performances(self) -> Array:
@@ -73,8 +75,9 @@ class Served:
 
     def __repr__(self) -> str:
         worst = self.space.describe(self.worst)
+        lost = f"; {self.lost} more gave no episode" if self.lost else ""
         return (
             f"Served({len(self.contexts)} contexts: V = {self.value:.4f} +- {self.margin:.4f}, "
             f"expected {self.expected.mean():.4f}, off by {self.off:.4f}; worst at {worst}, "
-            f"{self.performances.min():.4f})"
+            f"{self.performances.min():.4f}{lost})"
         )

@@ -13,7 +13,8 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import episode_moments, margin_of_sum
-from mbtl.errors import ContextMismatch, InvalidInput
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, TrainingFailed
+from mbtl.faults import FAULTS, reason_of
 from mbtl.portfolio import Choice, Portfolio
 from mbtl.problems.cmdp import CMDP
 from mbtl.seeds import Purpose, evaluation_seeds, training_seed
@@ -86,6 +87,7 @@ def adapt(
     Raises:
         ContextMismatch: the target lies outside the axes.
         InvalidInput: the trainer cannot begin with a policy, or a length that is not above 0.
+        TrainingFailed: the training or an evaluation fails.
     """
     if not length > 0.0:
         raise InvalidInput(f"a policy is tuned for a length > 0, got {length!r}")
@@ -97,12 +99,20 @@ def adapt(
     begun = replace(portfolio, load=trainer.load).policy(choice.policy)
     home = nearest_listed(portfolio, target)
     own = training_seed(seed, 0, home, lineage=(1, choice.policy))
-    trained = trainer.train([target], own, start=begun, length=length, on_progress=on_progress)
     seeds = evaluation_seeds(seed, 0, [portfolio.space.n + home], Purpose.REPORT)
-    before, after = (
-        completed(checked_returns(trainer.evaluate(policy, [target], seeds), 1))[0]
-        for policy in (begun, trained.policy)
-    )
+    try:
+        trained = trainer.train([target], own, start=begun, length=length, on_progress=on_progress)
+        before, after = (
+            completed(checked_returns(trainer.evaluate(policy, [target], seeds), 1, [target]))[0]
+            for policy in (begun, trained.policy)
+        )
+    except MbtlError:
+        raise
+    except FAULTS as error:
+        raise TrainingFailed(
+            f"a policy could not be tuned for {target}: {reason_of(error)}; mend the cause and run "
+            "again, the portfolio is as it was"
+        ) from error
     leads = portfolio.bounds.normalise(after) - portfolio.bounds.normalise(before)
     lead, margin = float(leads.mean()), margin_of_sum(leads[None, :])
     return Adapted(target, choice, trained.policy, length, before, after, lead, margin)
@@ -137,7 +147,8 @@ def with_adapted(
     space, padded = _with_target(portfolio, adapted)
     say(f"evaluating it on all {space.n} contexts")
     seeds = evaluation_seeds(seed, 0, range(space.n))
-    row = checked_returns(trainer.evaluate(adapted.policy, space.contexts, seeds), space.n)
+    returns = trainer.evaluate(adapted.policy, space.contexts, seeds)
+    row = checked_returns(returns, space.n, space.contexts)
     note = {
         "to": adapted.target,
         "from": adapted.choice.policy,

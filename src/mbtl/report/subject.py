@@ -5,6 +5,7 @@ Notation (shapes): k policies told, N contexts, S matrix seeds.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -208,5 +209,5 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         if total > summary.budget:
             more = f"Train {total - summary.budget} more units, {total} in all"
             steps.append((f"{more}: the command that began it, with", f"--budget {total}"))
-    steps.append(("See every pick, and what failed", f"mbtl study show {folder}"))
+    steps.append(("See every pick, and what failed", f"mbtl study show {shlex.quote(str(folder))}"))
     return tuple(steps)

@@ -60,6 +60,7 @@ class StudySummary:
         fresh_margin: half its 95 % interval; None where unknown.
         fresh_episodes: how many fresh episodes a context was played; None where not measured.
         fresh_contexts: how many contexts were played, drawn by chance; None likewise.
+        fresh_lost: how many more were to be played, and gave no episode that counts; None likewise.
         risk: share of the contexts, the worst of them, that V is the mean of.
         worst_tenth: mean performance of the tenth of the contexts, by weight, that are believed to
             be served worst; on fresh episodes, which did not choose them, where there are any.
@@ -105,6 +106,7 @@ class StudySummary:
     fresh_margin: float | None
     fresh_episodes: int | None
     fresh_contexts: int | None
+    fresh_lost: int | None
     risk: float
     worst_tenth: float | None
     worst_context: int | None
@@ -260,6 +262,7 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_margin=None if fresh is None else fresh.margin,
         fresh_episodes=None if fresh is None else fresh.episodes,
         fresh_contexts=None if fresh is None else fresh.contexts,
+        fresh_lost=None if state.fresh is None else len(state.fresh.lost),
         worst_tenth=float(tenth @ served),
         worst_context=worst,
         worst_context_value=float(served[worst]),
@@ -299,9 +302,10 @@ def _behind(fresh: FreshReturns | None, bounds: Bounds) -> tuple[tuple[int, str]
         return ()
     beside = performance_beside(fresh, bounds)
     names, rows = list(beside), np.array([*beside.values()])
-    lead = bounds.normalise(fresh.served).mean(axis=1) - rows.max(axis=0)
+    lead = bounds.normalise(fresh.served).mean(axis=1) - np.fmax.reduce(rows)
     worst_first = np.argsort(lead, kind="stable")  # those that were not played are last
-    return tuple((int(i), names[int(rows[:, i].argmax())]) for i in worst_first if lead[i] < 0.0)
+    behind = (int(i) for i in worst_first if lead[i] < 0.0)
+    return tuple((i, names[int(np.nanargmax(rows[:, i]))]) for i in behind)
 
 
 def _metrics(fresh: FreshReturns | None, weights: Array) -> dict[str, dict[str, float]]:

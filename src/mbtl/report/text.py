@@ -200,6 +200,7 @@ def fresh_episodes(summary: StudySummary) -> str:
     where = "per context"
     if played < summary.n_contexts:
         where = f"in each of {played} of the {summary.n_contexts} contexts"
+        where += f" ({summary.fresh_lost} more gave none)" * bool(summary.fresh_lost)
     return f"{count} fresh episode{'s' * (count > 1)} {where}, which chose nothing"
 
 

@@ -31,7 +31,7 @@ from mbtl.selectors import SelectionProblem, Selector
 from mbtl.settings import first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
-from mbtl.study.budget import Steps
+from mbtl.study.budget import Cost, Steps
 from mbtl.study.checks import advance, check_event, is_policy_place
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import database_file
@@ -619,32 +619,38 @@ class AskTell:
         if not begun:
             self.untold.clear()  # of another recipe
 
-    def extend(self, budget: int | Steps) -> None:
-        """Raise the budget to so many trainings, or steps, in all, for a few more picks.
+    def extend(self, budget: int | Steps | Cost) -> None:
+        """Raise the budget to so many trainings, or steps, or a cost, in all, for more picks.
 
         Raises:
-            InvalidInput: it is not larger than now, or asks a selector for more trainings than
-                there are contexts.
+            InvalidInput: it is not larger than now, counts something else, or asks a selector for
+                more trainings than there are contexts.
         """
-        in_steps = isinstance(budget, Steps)
-        wanted = budget.total if isinstance(budget, Steps) else whole("budget", budget)
+        given = budget if isinstance(budget, (Steps, Cost)) else whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
             spec = state.spec
-            now = spec.budget if spec.steps is None else spec.steps
             most = math.inf if spec.any_training else spec.space.n  # trainings
-            known = in_steps == (spec.steps is not None)
-            if not known or wanted <= now or (wanted > most and not in_steps):
-                what = "trainings" if spec.steps is None else "steps"
+            facts: dict[str, float] = {}
+            if isinstance(given, Steps) and spec.steps is not None:
+                more = given.total // (spec.unit or given.total)
+                wanted, facts = given.total > spec.steps, {"steps": given.total}
+            elif isinstance(given, Cost) and spec.cost_budget is not None:
+                more, facts = given.trainings or 0, {"cost_budget": float(given.total)}
+                larger = (given.total, more) > (spec.cost_budget, spec.budget)
+                wanted = larger and given.total >= spec.cost_budget
+            elif isinstance(given, int) and spec.in_units:
+                more = given
+                wanted = spec.budget < given <= most
+            else:
+                wanted = False
+            if not wanted:
                 raise InvalidInput(
-                    f"a budget can only be raised, and counts what it counted before, from {now} "
-                    f"{what} (a selector's up to one on each of {spec.space.n} contexts), got "
-                    f"{wanted} {'steps' if in_steps else 'trainings'}"
+                    f"a budget can only be raised, and counts what it counted before, from "
+                    f"{spec.size} (a selector's trainings up to one on each of {spec.space.n} "
+                    f"contexts), got {given}"
                 )
-            if not in_steps:
-                return Event("extended", {"budget": wanted})
-            more = max(wanted // (spec.unit or wanted), spec.budget)
-            return Event("extended", {"budget": int(min(more, most)), "steps": wanted})
+            return Event("extended", {"budget": int(min(max(more, spec.budget), most)), **facts})
 
         self._commit(extended)
 
@@ -663,6 +669,7 @@ class AskTell:
         baselines: Mapping[str, Array] | None = None,
         metrics: Array | None = None,
         rows: int | None = None,
+        lost: Sequence[int] = (),
     ) -> None:
         """Record returns on fresh evaluation seeds.
 
@@ -675,6 +682,7 @@ class AskTell:
             metrics: (1 + baselines, measures, N) means of the study's `beside.metrics`, of the
                 policies that serve and of each baseline; None where nothing is measured.
             rows: how many rows these are the routes of; None: those there are.
+            lost: contexts that were to be played, and gave no episode that counts.
 
         Raises:
             StudyError: rows were told since, which the report would not fit.
@@ -702,6 +710,8 @@ class AskTell:
                 data["baselines"] = [*others]
             if units:
                 data["metrics"] = units
+            if len(lost):
+                data["lost"] = [int(target) for target in lost]
             return Event("reported", data, arrays)
 
         self._commit(reported)

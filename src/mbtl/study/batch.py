@@ -402,6 +402,13 @@ class Batches:
 
     def _announce_pick(self, pick: Pick) -> None:
         self._announce("on_pick", pick)
+        if (often := self.study.state.picks[pick.number].abandoned) > 1:
+            self._announce(
+                "on_note",
+                f"pick {pick.number + 1} was begun {often} times by processes that ended without a "
+                "word: if its training kills the process, Workers(2) (--parallel 2) records that "
+                "as a failure and goes on",
+            )
         if self.study.spec.any_training:  # what a strategy cannot try is said once
             for note in self.study.state.picks[pick.number].notes:
                 if note not in self._said:

@@ -170,6 +170,9 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "extended": {
             "budget": number(lambda k: k == least if same else k >= least),
             "steps": more,
+            "cost_budget": or_null(
+                lambda c: is_number(c) and c >= (state.spec.cost_budget or c + 1)
+            ),
             "to_the_end": or_null(is_flag),
         },
         "asked": {
@@ -209,6 +212,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "reported": {
             "episodes": is_count,
             "best_single": number(lambda i: i < rows),
+            "lost": or_null(each(index)),
             "baselines": or_null(each(is_text)),
             "metrics": or_null(is_record),
         },

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
+from mbtl.routing import SURE
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.study.state import StudyState
 
@@ -156,8 +157,9 @@ def plan_to_do(
     fresh, plan = state.fresh, plan_of(state, whole=whole)
     known = fresh is not None and {*baselines} <= {*fresh.baselines}
     if fresh is not None and known and {*metrics} <= {*fresh.units}:
-        enough = not whole or _played(fresh.served)[plan.contexts].all()
-        if enough:
+        seen = _played(fresh.served)
+        seen[list(fresh.lost)] = True
+        if not whole or seen[plan.contexts].all():
             return None
     saved = {place for place, row in enumerate(state.rows) if row.policy}
     return plan if saved.union(in_memory).issuperset(plan.policies) else None
@@ -180,17 +182,21 @@ def fresh_value(state: StudyState) -> FreshValue | None:
     weights, best = spec.space.weights, fresh.best_single
     served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
     there, (each, lead) = _played(served), np.zeros((2, len(weights)))
+    count, lost, others = int(there.sum()), list(fresh.lost), list[Baseline]()
+    doubts, drawn = [0.0, 0.0], count + len(lost)
     if not there.all():  # where all were played, what a model believes of them adds nothing
         routing = state.routing()
         each, lead = routing.served.copy(), routing.served - routing.believed[best]
-    value, margin = estimated(each, served, weights)
-    gain, gain_margin = estimated(lead, served - alone, weights)
+        if lost:  # no sample of the others, as those that break lie together
+            share = weights[lost] / np.maximum(chances(weights, drawn)[lost], np.finfo(float).tiny)
+            doubts = [routing.error(routing.route[lost], lost, share, a) for a in (None, best)]
+    value, margin = estimated(each, served, weights, drawn, doubts[0])
+    gain, gain_margin = estimated(lead, served - alone, weights, drawn, doubts[1])
     each[there] = served[there].mean(axis=1)
-    count, others = int(there.sum()), list[Baseline]()
     for name, returns in fresh.baselines.items():
         difference = served - bounds.normalise(returns)
-        usual = np.full(len(weights), difference[there].mean())  # nothing is believed of it
-        ahead, bar = estimated(usual, difference, weights)
+        usual = np.full(len(weights), np.nanmean(difference))  # nothing is believed of it
+        ahead, bar = estimated(usual, difference, weights, drawn, doubts[0])
         others.append(Baseline(name, value - ahead, ahead, bar))
     return FreshValue(
         value, margin, served.shape[1], count, each, best, gain, gain_margin, tuple(others)
@@ -224,7 +230,9 @@ def drawn(chance: Array, rng: np.random.Generator) -> Indices:
     return np.sort(order[np.searchsorted(ends[:-1], marks, side="right")])
 
 
-def estimated(believed: Array, played: Array, weights: Array) -> tuple[float, float | None]:
+def estimated(
+    believed: Array, played: Array, weights: Array, count: int | None = None, doubt: float = 0.0
+) -> tuple[float, float | None]:
     """A mean over all contexts from a sample of them, and half its 95 % interval.
 
     The mean of what is believed, and by how much it is wrong in the sample: right whatever is
@@ -236,13 +244,15 @@ def estimated(believed: Array, played: Array, weights: Array) -> tuple[float, fl
         believed: (N,) by a model that has not seen these episodes.
         played: (N, E) single episodes; NaN where a context was not drawn.
         weights: (N,) sum 1. Contexts were drawn by `chances`.
+        count: of those that were drawn; None: all of them were played.
+        doubt: standard error of the mean for what is believed of those that were not.
 
     Returns:
         The mean and the margin; None where one episode of all contexts, or one context that was
         drawn by chance, says nothing of chance.
     """
     there = _played(played)
-    chance = chances(weights, int(there.sum()))[there]
+    chance = chances(weights, int(there.sum()) if count is None else count)[there]
     share = np.divide(weights[there], chance, out=np.zeros(len(chance)), where=chance > 0.0)
     parts = share[:, None] * (played[there] - believed[there, None])
     value = float(weights @ believed + parts.mean(axis=1).sum())
@@ -258,12 +268,12 @@ def estimated(believed: Array, played: Array, weights: Array) -> tuple[float, fl
         each = parts[among].mean(axis=1)
         off = np.square(each - np.average(each, weights=left))
         variance = float(left @ off) * among.sum() / (among.sum() - 1.0)
-    total = variance + noise
-    if total == 0.0:
-        return value, 0.0
-    spread = max(int(among.sum()) - 1, 1)
-    together = total**2 / (variance**2 / spread + noise**2 / freedom)
-    return value, student(together) * float(np.sqrt(total))
+    total, margin = variance + noise, 0.0
+    if total > 0.0:
+        spread = max(int(among.sum()) - 1, 1)
+        together = total**2 / (variance**2 / spread + noise**2 / freedom)
+        margin = student(together) * float(np.sqrt(total))
+    return value, float(np.hypot(margin, SURE * doubt))
 
 
 def _played(returns: Array) -> NDArray[np.bool_]:

@@ -141,12 +141,18 @@ def create_study(
                 "to go on with it, or choose another name"
             ) from None
         _check_same(study.state, spec, name)
-        if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
-            study.extend(spec.budget if spec.steps is None else Steps(spec.steps))
+        if _sizes(spec) > _sizes(study.spec):
+            total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget
+            study.extend(total if spec.steps is None else Steps(spec.steps))
         if spec.stop_left is None and study.spec.stop_left is not None:
             study.spend_all()
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
+
+
+def _sizes(spec: StudySpec) -> tuple[float, ...]:
+    """Steps, cost and trainings: what a larger budget has more of."""
+    return spec.steps or 0, spec.cost_budget or 0.0, spec.budget
 
 
 def _usual_name(address: str | None) -> str:
@@ -203,6 +209,12 @@ def _spec(
             f"bounds {pair}; correct one of them"
         )
     _check_stopping(end, pair)
+    costs = _costs_of(None if cost is None else cost.per_context, space)
+    if cost is not None and costs is not None and cost.total < min(costs):
+        raise InvalidInput(
+            f"a cost budget pays for one training at least, and the cheapest costs {min(costs):g}, "
+            f"got {cost.total:g}"
+        )
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
     targets = evaluation.targets
@@ -219,7 +231,7 @@ def _spec(
         None if cost is None else float(cost.total),
         facts.id,
         described(dict(facts.settings)),
-        _costs_of(None if cost is None else cost.per_context, space),
+        costs,
         real("risk", aim.risk),
         None if targets is None else whole("targets of Evaluation", targets),
         real("confidence of Stopping", end.confidence),
@@ -326,12 +338,10 @@ def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
 def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
     """Refuse other settings; what extends the study is none: a larger budget, all of it spent."""
     stored = state.spec
-    now = replace(
-        given,
-        budget=min(given.budget, stored.budget),
-        steps=stored.steps if (given.steps or 0) >= (stored.steps or 0) else given.steps,
-        stop_left=stored.stop_left if given.stop_left is None else given.stop_left,
-    )
+    now = replace(given, stop_left=stored.stop_left if given.stop_left is None else given.stop_left)
+    for name in ("budget", "steps", "cost_budget"):
+        if (getattr(given, name) or 0) >= ((was := getattr(stored, name)) or 0):
+            now = replace(now, **{name: was})
     was, now_record = (
         {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)
     )

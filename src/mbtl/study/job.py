@@ -281,7 +281,7 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
         steps = float(np.sum(lasted))
     else:
         returns = trainer.evaluate(policy, targets, seeds)
-    checked = checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
+    checked = checked_returns(returns, len(targets), targets)
     return checked, steps if steps == steps else None
 
 

@@ -85,6 +85,7 @@ class PickRecord:
         tokens: of all its leases, the first one first.
         answered_by: token of the answer; empty where it came without; None: not answered.
         last_worker: name of who held it last; None: nobody did so far.
+        abandoned: how often a holder fell silent, so that somebody else took it over.
         retries: how often it failed and was begun again, each time with another seed.
         sources: indices of all contexts trained on.
         start: number of the event that told the policy to begin with; None: from scratch.
@@ -104,6 +105,7 @@ class PickRecord:
     tokens: tuple[str, ...] = ()
     answered_by: str | None = None
     last_worker: str | None = None
+    abandoned: int = 0
     retries: int = 0
     sources: tuple[int, ...] = ()
     start: int | None = None
@@ -131,7 +133,14 @@ class PickRecord:
         new = lease is not None and lease.token not in self.tokens
         tokens = (*self.tokens, lease.token) if lease and new else self.tokens
         last = self.last_worker if lease is None else lease.worker
-        return replace(self, lease=lease, tokens=tokens, answered_by=None, last_worker=last)
+        return replace(
+            self,
+            lease=lease,
+            tokens=tokens,
+            answered_by=None,
+            last_worker=last,
+            abandoned=self.abandoned + (new and self.lease is not None),
+        )
 
 
 LOGGED = (
@@ -241,6 +250,7 @@ class FreshReturns:
         units: of what is measured beside the score, by name.
         metrics: name -> (N,) mean of each measure, of the policies that serve, as "policies", and
             of the baselines; NaN where a context was not played or did not tell it.
+        lost: contexts that were to be played, and gave no episode that counts.
     """
 
     served: Array
@@ -249,3 +259,4 @@ class FreshReturns:
     baselines: Mapping[str, Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     metrics: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
+    lost: tuple[int, ...] = ()

@@ -379,8 +379,8 @@ class StudyState:
     def _extended(self, event: Event) -> None:
         data, spec = event.data, self.spec
         left = None if data.get("to_the_end") else spec.stop_left
-        steps = data.get("steps", spec.steps)
-        self.spec = replace(spec, budget=data["budget"], steps=steps, stop_left=left)
+        own = {name: data.get(name, getattr(spec, name)) for name in ("steps", "cost_budget")}
+        self.spec = replace(spec, budget=data["budget"], stop_left=left, **own)
         self.stopped = None
 
     def _asked(self, event: Event) -> None:
@@ -533,6 +533,7 @@ class StudyState:
             units,
             {w: dict(zip(units, m, strict=True))
              for w, m in zip(who, arrays["metrics"], strict=True)} if units else {},
+            tuple(data.get("lost") or ()),
         )  # fmt: skip
 
 

@@ -530,6 +530,8 @@ def _pool(workers: Workers) -> Iterator[Executor | None]:
 
 def _check_any_success(study: Study) -> None:
     failures = [failure for failure in study.state.failures if not failure.pruned]
+    if study.is_finished and not (study.state.rows or study.state.failures):
+        raise TrainingFailed(f"nothing was trained: {study.stop_reason}")
     if failures and not study.state.rows:
         raise TrainingFailed(
             f"no training of this study succeeded, {len(failures)} failed, the last with "
@@ -731,7 +733,10 @@ def _play(
     names = tuple(study.beside.metrics)
 
     def play(policy: Any, targets: Indices, *, own: bool = True) -> tuple[Array, Array]:
-        """(n, E) returns, (measures, n) means; of a policy of the study or of a baseline."""
+        """(n, E) returns, (measures, n) means; of a policy of the study or of a baseline.
+
+        NaN where no episode counts.
+        """
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
         told: Mapping[str, Array] = {}
@@ -745,7 +750,7 @@ def _play(
         means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
         named = study.space.named(targets)
         returns = checked_returns(returns, targets.size, named, gaps=own)
-        return completed(returns, gaps=own), np.reshape(means, (len(names), targets.size))
+        return completed(returns, gaps=True), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
     others: dict[str, tuple[Array, Array]] = {}
@@ -763,11 +768,11 @@ def _play(
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
         metrics[0][:, targets[mine]] = means[:, mine]
-    lost = int(np.isnan(served[plan.contexts]).any(axis=1).sum())
-    if lost == plan.contexts.size:
-        raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost} contexts")
-    if lost:
-        words = f"{lost} of {plan.contexts.size} contexts had no fresh episode that counts"
+    lost = plan.contexts[np.isnan(served[plan.contexts]).any(axis=1)]
+    if lost.size == plan.contexts.size:
+        raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost.size} contexts")
+    if lost.size:
+        words = f"{lost.size} of {plan.contexts.size} contexts had no fresh episode that counts"
         announce("on_note", f"{words}: of these V is as believed")
     if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
@@ -782,6 +787,7 @@ def _play(
         baselines=compared,
         metrics=metrics if names else None,
         rows=rows,
+        lost=lost,
     )
 
 

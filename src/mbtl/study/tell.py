@@ -27,8 +27,9 @@ def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | No
         return record.number
     if any(row.sources == sources and row.start is None for row in state.rows):
         raise StudyError(
-            f"{_where(state, sources)} was told before; a study keeps one row of each training "
-            "from scratch: answer a pick, or take the row back (void)"
+            f"a training from scratch on {_where(state, sources)} was told before; a study keeps "
+            "one row of each: answer a pick, take the row back (void), or adopt the best policy "
+            "alone"
         )
     return None
 

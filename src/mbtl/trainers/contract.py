@@ -455,7 +455,7 @@ class FunctionTrainer:
             return {name: floats(rows) for name, rows in found.items()}
         each = [returns([c], seed) for c, seed in zip(contexts, seeds, strict=True)]
         for context, told in zip(contexts, each, strict=True):
-            told[SCORE] = checked_returns(told[SCORE], 1, _always(context))
+            told[SCORE] = checked_returns(told[SCORE], 1, [context])
         if len(lengths := {told[SCORE].shape[1] for told in each}) > 1:
             raise TrainingFailed(
                 "every context must have as many episodes as the others, got "
@@ -521,15 +521,10 @@ def _luck_of(evaluate: Callable[..., Any]) -> inspect.Parameter | None:
     return takes
 
 
-def _always(context: Context) -> Callable[[int], str]:
-    """The name of the only target, for messages."""
-    return lambda _: str(dict(context))
-
-
 def checked_returns(
     returns: Any,
     n_targets: int,
-    name: Callable[[int], str] = "target {}".format,
+    name: Callable[[int], str] | Sequence[Context] = "target {}".format,
     *,
     whole: bool = False,
     gaps: bool = False,
@@ -541,7 +536,7 @@ def checked_returns(
     Args:
         returns: what an evaluation gave; what a masked array hides is missing.
         n_targets: number of contexts evaluated on.
-        name: what a target is called, by its place among them.
+        name: what a target is called, by its place among them; or the contexts.
         whole: NaN is refused, too.
         gaps: NaN may be everywhere.
 
@@ -573,9 +568,10 @@ def checked_returns(
     bad = np.argwhere(wrong if whole else wrong & ~missing)
     if len(bad):
         target, episode = bad[0].tolist()
+        said = name(target) if callable(name) else str(dict(name[target]))
         raise TrainingFailed(
             f"returns must be finite and within {LARGEST:g}, got "
-            f"{float(array[target, episode])!r} for {name(target)}, the first of {len(bad)} of "
+            f"{float(array[target, episode])!r} for {said}, the first of {len(bad)} of "
             f"{array.size}; give an episode that broke off the worst return there is"
         )
     return array

@@ -294,7 +294,7 @@ class SB3Trainer:
         told, lasted = self._play(policy, contexts, seeds)
         shape = (len(contexts), self.eval_episodes)
         returns = np.reshape(told[SCORE], shape)
-        return checked_returns(returns, len(contexts)), np.reshape(lasted, shape)
+        return checked_returns(returns, len(contexts), contexts), np.reshape(lasted, shape)
 
     def ways(self, contexts: Sequence[Context]) -> tuple[str, ...]:
         """See `mbtl.trainers.MeasuringTrainer`; `mbtl.envs.references` has what is unguided."""
