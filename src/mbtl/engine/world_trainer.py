@@ -48,9 +48,11 @@ _JUDGED = 20
 """Evaluations in a unit of one policy for several contexts, where the recipe keeps the best."""
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
-_SPENT, _FROM, _BRANCH, _SEED, _BEFORE = "spent", "from", "branch", "seed", "before"
+_SPENT, _FROM, _BRANCH, _SEED = "spent", "from", "branch", "seed"
+_BEFORE, _WHOLE = "before", "whole"
 """Kept with the state of a training: updates spent before this stage, where on the trunk it began,
-and the branch of the stage before; whose it is; and updates of what it was tuned from."""
+and the branch of the stage before; whose it is; updates of what it was tuned from, as its own; and
+those of one unit."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.engine.World`, its parameters with one leading axis)."""
@@ -351,11 +353,13 @@ class WorldTrainer:
             begun = fresh()
             training, before = file.inherited(begun) or (begun, 0)
             before += file.notes.get(_BEFORE, 0)
+            before = _as_own(before, file.notes.get(_WHOLE, growing.whole), growing.whole)
             spent = self._updates(done, unit)
             on_trunk, _ = engine.stage(spent)  # schedules follow the number of updates
             training = training._replace(updates=training.updates + on_trunk)
             now = int(training.updates)
-            file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, _BEFORE: before}
+            own = {_BEFORE: before, _WHOLE: growing.whole}
+            file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, **own}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
         growing = growing._replace(before=file.notes[_BEFORE])
         planned = max(self._updates(length, unit), spent)
@@ -386,6 +390,7 @@ class WorldTrainer:
         *,
         parents: Any = None,
         which: Sequence[int] = (),
+        parents_on: int = 1,
         trunk: Any = None,
         done: float = 0.0,
         on_progress: OnProgress | None = None,
@@ -398,6 +403,7 @@ class WorldTrainer:
             marks: units, rising; each is where a training may end.
             parents: trunks of other trainings to begin with; None: from scratch.
             which: (P,) one of the parents for each.
+            parents_on: how many contexts they were trained on.
             trunk: of these trainings, to go on from.
             done: mark that it was left at; those behind it are not trained again.
             on_progress: told steps or episodes of one policy.
@@ -411,7 +417,11 @@ class WorldTrainer:
         training = growing.start() if trunk is None else trunk
         if parents is not None:
             training = engine.taking_over(training, parents, which)
-            growing = growing._replace(before=int(parents.updates))
+            theirs = self._updates(
+                1.0, int(self._learner_of(growing.world, parents_on).update_length)
+            )
+            before = _as_own(int(parents.updates), theirs, growing.whole)
+            growing = growing._replace(before=before)
 
         def on_block(block: Any) -> None:
             if on_progress is not None:
@@ -434,14 +444,16 @@ class WorldTrainer:
     def _growing(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
         n = len(sets[0])
         world, params = self._lessons([context for some in sets for context in some])
-        recipe = self.learner
-        if n > 1:
-            recipe = engine.of_several(recipe, world, n)
+        recipe = self._learner_of(world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
         judged = -(-whole // _JUDGED) if n > 1 and self._judges_sets else 0
         growing = engine.Growing(world, recipe, list(seeds), spread, whole)
         return growing._replace(judged=judged, acting=self.how)
+
+    def _learner_of(self, world: Any, n: int) -> Any:
+        """The recipe of a policy for so many contexts."""
+        return self.learner if n == 1 else engine.of_several(self.learner, world, n)
 
     def _begun(self, world: Any, recipe: Any, start: Any) -> tuple[Any, Any]:
         """The recipe for layers as wide as those of `start`, and its weights; or None."""
@@ -629,6 +641,11 @@ def _decisions_of(world: Any, params: Any) -> int:
 def _each_of(problem: Problem, contexts: Sequence[Context]) -> Any:
     """(T,) `_decisions_of` each context."""
     return np.array([_decisions_of(*problem([one])) for one in contexts])
+
+
+def _as_own(updates: int, theirs: int, own: int) -> int:
+    """Updates of a training as those of another one; `theirs` and `own` are one unit."""
+    return round(updates * own / theirs)
 
 
 def _saved(world: Any, state: Path | None) -> Any:

@@ -85,6 +85,24 @@ def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(
     assert [len(bias) for bias in whole.biases] == [width, width, 2]
 
 
+def test_a_copy_goes_on_at_its_parents_rate_also_where_its_own_updates_are_shorter(
+    tmp_path, monkeypatch
+):
+    longer = replace(recipes.MULTI_TASK["CartPole"], n_envs=8)
+    monkeypatch.setattr(recipes, "MULTI_TASK", {"CartPole": longer})
+    paces, along = [], engine.Growing.along
+    monkeypatch.setattr(
+        engine.Growing, "along", lambda self, *given: paces.append(self) or along(self, *given)
+    )
+    file, unit = tmp_path / "training.npz", UNIT / TRAINER.whole
+    parent = TRAINER.train(CONTEXTS, 3, state=file, length=1.0)  # 4 updates of 512 steps, and one
+    TRAINER.train(CONTEXTS[:1], 5, start=parent.policy, length=unit, state=file)
+    (_, _, trunk), *_ = TRAINER.grow_many([CONTEXTS], [3], [1.0])
+    of = {"parents": trunk, "which": [0], "parents_on": len(CONTEXTS)}
+    list(TRAINER.grow_many([CONTEXTS[:1]], [5], [unit], **of))
+    assert [(one.whole, one.before) for one in paces] == [(5, 0), (10, 8)] * 2
+
+
 def test_a_policy_with_layers_of_other_widths_is_no_beginning():
     other = replace(TRAINER, hyperparameters={**SMALL, "hidden": (48, 48)})
     policy = other.untrained(CONTEXTS[0])

@@ -51,7 +51,8 @@ class Growing(NamedTuple):
         seeds: P training seeds.
         params: of the P contexts, or sets of contexts.
         whole: updates of one unit, within a share of which exploration falls.
-        before: updates of the trainings that these are tuned from (docs/decisions.md).
+        before: updates of the trainings that these are tuned from, as long as these ones
+            (docs/decisions.md).
         judged: updates between two evaluations, on each of the contexts once, of which the best one
             is the policy; 0: the latest weights are.
         acting: how actions are chosen there.

@@ -235,6 +235,7 @@ class Kinds:
             part.marks,
             parents=parents,
             which=which,
+            parents_on=self.n,
             trunk=trunk,
             done=done,
             on_progress=on_progress,
