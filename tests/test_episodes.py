@@ -11,7 +11,8 @@ import scipy.stats
 
 import mbtl
 from flat import created
-from mbtl.episodes import Episodes, scatter_of_sum, student
+from mbtl.episodes import Episodes, completed, scatter_of_sum, student
+from mbtl.errors import TrainingFailed
 from mbtl.objective import Bounds
 
 UNIT = Bounds(0.0, 1.0)
@@ -106,3 +107,15 @@ def test_running_v_and_its_gain_are_not_flattered_and_their_intervals_cover(stud
             continue
         assert abs(error.mean()) < 3.0 * error.std() / np.sqrt(len(error))
         assert half.mean() < 0.075  # 1.96 times the error's true deviation is 0.061, and 0.056
+
+
+def test_what_is_filled_in_does_not_make_a_mean_surer():
+    returns = np.array([[1.0, 3.0, np.nan, np.nan, 8.0], [1.0, 2.0, 3.0, 4.0, 5.0], [np.nan] * 5])
+    found = completed(returns, gaps=True)
+    assert found.mean(axis=1)[:2] == pytest.approx([4.0, 3.0])
+    seen = np.array([1.0, 3.0, 8.0])
+    assert found[0].std(ddof=1) / np.sqrt(5) == pytest.approx(seen.std(ddof=1) / np.sqrt(3))
+    np.testing.assert_array_equal(found[1], returns[1])
+    assert np.isnan(found[2]).all()
+    with pytest.raises(TrainingFailed, match="NaN in all of 1 of 3 contexts"):
+        completed(returns)

@@ -9,15 +9,19 @@ Notation (shapes): k policies, N contexts, F folds, m pairs of a policy and a co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.errors import TrainingFailed
 from mbtl.history import standard_errors
 from mbtl.objective import Bounds
+from mbtl.plain import LARGEST, floats, refused
 
 Indices = NDArray[np.intp]
 
@@ -163,6 +167,84 @@ def student(freedom: float) -> float:
     from scipy.special import stdtrit  # kept out of `import mbtl`
 
     return float(stdtrit(min(freedom, _MANY), 0.975))
+
+
+def checked_returns(
+    returns: Any,
+    n_targets: int,
+    name: Callable[[int], str] | Sequence[Context] = "target {}".format,
+    *,
+    whole: bool = False,
+    gaps: bool = False,
+) -> Array:
+    """Returns of one evaluation as (n_targets, n_episodes) numbers that can be computed with.
+
+    NaN is an episode that has none.
+
+    Args:
+        returns: what an evaluation gave; what a masked array hides is missing.
+        n_targets: number of contexts evaluated on.
+        name: what a target is called, by its place among them; or the contexts.
+        whole: NaN is refused, too.
+        gaps: NaN may be everywhere.
+
+    Raises:
+        TrainingFailed: wrong shape, NaN everywhere, or a value that is infinite or beyond
+            `LARGEST`.
+    """
+    try:
+        array = floats(returns)
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors
+        raise TrainingFailed(
+            f"returns must be real numbers, in rows of one length, got {type(returns).__name__} "
+            f"({error!s:.90})"
+        ) from error
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[0] != n_targets or array.shape[1] < 1:
+        got = "None; does the function return?" if returns is None else f"{np.shape(returns)}"
+        raise TrainingFailed(
+            f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), a row for each "
+            f"of the contexts given, got {got}"
+        )
+    wrong, missing = refused(array), np.isnan(array)
+    if array.size and missing.all() and not (whole or gaps):
+        raise TrainingFailed(
+            "an episode without a return is NaN, but one at least must have one, got NaN in all of "
+            f"{array.size}"
+        )
+    bad = np.argwhere(wrong if whole else wrong & ~missing)
+    if len(bad):
+        target, episode = bad[0].tolist()
+        said = name(target) if callable(name) else str(dict(name[target]))
+        raise TrainingFailed(
+            f"returns must be finite and within {LARGEST:g}, got "
+            f"{float(array[target, episode])!r} for {said}, the first of {len(bad)} of "
+            f"{array.size}; give an episode that broke off the worst return there is"
+        )
+    return array
+
+
+def completed(returns: Array, *, gaps: bool = False) -> Array:
+    """(T, E) returns, where an episode that has none counts as the mean of its context's others.
+
+    These scatter more for it, so that the scatter of all says how sure their mean is.
+
+    Raises:
+        TrainingFailed: a context has none at all, and there may be no such `gaps`.
+    """
+    means, deviations = episode_moments(returns)
+    if np.isnan(means).any() and not gaps:
+        raise TrainingFailed(
+            f"each context needs the return of an episode, got NaN in all of "
+            f"{int(np.isnan(means).sum())} of {len(means)} contexts"
+        )
+    lacking, found = np.isnan(returns), returns.copy()
+    for t in np.flatnonzero(lacking.any(axis=1)):
+        off = np.where(lacking[t], 0.0, returns[t] - means[t])
+        scatter = np.sqrt(np.square(off).sum() / max(len(off) - 1, 1))
+        found[t] = means[t] + off * (deviations[t] / scatter if scatter > 0.0 else 1.0)
+    return found
 
 
 def episode_moments(returns: Array) -> tuple[Array, Array]:

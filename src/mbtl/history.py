@@ -170,7 +170,8 @@ class History:
     @cached_property
     def training_performance(self) -> Array:
         """(k,) J(pi_i, x_i): each policy on its own source."""
-        return self.rows[np.arange(len(self.sources)), np.asarray(self.sources, dtype=np.intp)]
+        here = np.asarray(self.sources, dtype=np.intp)
+        return unwritable(self.rows[np.arange(len(here)), here])
 
     def open_mask(self, n_candidates: int) -> NDArray[np.bool_]:
         """(M,) True where a candidate is neither trained nor pending, and never failed."""

@@ -166,6 +166,8 @@ def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
         (("run", OWN, "--parallel", "0"), "parallel of Workers is 1 or more"),
         (("run", OWN, "--engine", "sumo"), "engine"),
         (("run", OWN, "--steps", "9M", "--budget", "3"), "got both; leave one out"),
+        (("run", OWN, "--report-all", "--no-report"), "--report-all plays the fresh episodes"),
+        (("run", OWN, "--report-all", "--risk", "0.2"), "a --risk below 1, which has none"),
         (("run", OWN, "--steps", "9M"), "Steps(9000000, unit=<steps>, horizon=<steps>) in Pyt"),
         (("run", "nowhere:problem"), "no module is called 'nowhere'"),
         (("run", f"{__file__}:problm"), "Did you mean 'problem'"),
@@ -179,6 +181,12 @@ def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(
 def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, tmp_path, arguments, words):
     assert words in mbtl_command.refusal(*arguments)
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_study_that_can_ask_for_nothing_is_no_success(mbtl_command):
+    given = ("run", OWN, "--strategy", "one-policy")
+    said = mbtl_command.refusal(*given, code=1)
+    assert "nothing was trained: the trainer takes one context at a time" in said
 
 
 @pytest.mark.parametrize(

@@ -78,24 +78,25 @@ def test_an_episode_whose_score_is_known_is_not_played_on():
     assert played == [2, 1, 2, 1, 50, 49, 48, 50, 49, 48]
 
 
+class Team:
+    agents = possible_agents = ("a", "b")
+
+    def reset(self, seed=None):
+        self.steps, self.agents = 0, ["a", "b"]
+        return dict.fromkeys(self.agents, np.zeros(1, np.float32)), {}
+
+    def step(self, actions):
+        self.steps += 1
+        info = {"final_score": -7.0} if self.steps == 3 else {}
+        seen = dict.fromkeys(self.agents, np.zeros(1, np.float32))
+        never = dict.fromkeys(self.agents, False)
+        return seen, dict.fromkeys(self.agents, 1.0), never, never, {"a": info, "b": info}
+
+    def close(self):
+        pass
+
+
 def test_a_team_whose_score_is_known_is_not_played_on():
-    class Team:
-        agents = possible_agents = ("a", "b")
-
-        def reset(self, seed=None):
-            self.steps, self.agents = 0, ["a", "b"]
-            return dict.fromkeys(self.agents, np.zeros(1, np.float32)), {}
-
-        def step(self, actions):
-            self.steps += 1
-            info = {"final_score": -7.0} if self.steps == 3 else {}
-            seen = dict.fromkeys(self.agents, np.zeros(1, np.float32))
-            never = dict.fromkeys(self.agents, False)
-            return seen, dict.fromkeys(self.agents, 1.0), never, never, {"a": info, "b": info}
-
-        def close(self):
-            pass
-
     score = Score("score", foretold="final_score")
     (scores,) = play([Job(Team, [0, 1], score)], Actor(SignPolicy()), max_envs=1)
     assert scores.tolist() == [-7.0, -7.0]
@@ -214,6 +215,31 @@ def test_an_episode_in_which_nan_was_seen_counts_as_not_played(nested):
 
     actor = Actor(Controller(lambda seen: 0))
     found = play(jobs(Blind, [1, 3], [0, 1]), actor, max_envs=2)
+    assert np.isnan(found).all()
+
+
+def test_words_among_observations_are_not_looked_at():
+    class Told(Guess):
+        def reset(self, **how):
+            seen, info = super().reset(**how)
+            return {"said": "go", "x": seen}, info
+
+        def step(self, action):
+            seen, *rest = super().step(action)
+            return {"said": "on", "x": seen}, *rest
+
+    actor = Actor(Controller(lambda seen: 0))
+    assert np.isfinite(play(jobs(Told, [1, 3], [0, 1]), actor, max_envs=2)).all()
+
+
+def test_a_team_of_which_one_saw_nan_has_not_played_also_where_it_leaves():
+    class Blind(Team):
+        def step(self, actions):
+            seen, *rest = super().step(actions)
+            self.agents = ["b"]
+            return {**seen, "a": seen["a"] * np.nan}, *rest
+
+    (found,) = play([Job(Blind, [1])], Actor(SignPolicy()), max_envs=1)
     assert np.isnan(found).all()
 
 

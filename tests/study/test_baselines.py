@@ -66,6 +66,22 @@ def test_a_context_that_nobody_can_play_does_not_cost_the_comparison():
     assert fixed.lead_margin > 0.01  # nobody knows of the fifth
 
 
+def test_a_baseline_that_breaks_where_policies_do_not_is_not_compared(capsys):
+    def broken(policy, contexts, seeds):
+        told = evaluate(policy, contexts, seeds)
+        if policy == "fixed":
+            told["delay"][[context["demand"] > 3.0 for context in contexts]] = np.nan
+        return told
+
+    cmdp = problem(baselines={"fixed time": "fixed"})
+    study = mbtl.create_study(cmdp, budget=2, strategy="equidistant")
+    study.run(trainer=dataclasses.replace(cmdp.trainer, evaluate_fn=broken))
+    assert summarise_study(study).baselines == ()
+    assert "'fixed time' could not be compared: TrainingFailed: each context needs" in (
+        capsys.readouterr().err
+    )
+
+
 def test_the_score_has_a_direction_and_is_what_a_mapping_is_read_for():
     cmdp = problem()
     assert cmdp.direction == "minimize"

@@ -9,7 +9,7 @@ from flat import created, ran
 from mbtl.report import summarise_study
 from mbtl.report.text import fresh_episodes
 from mbtl.seeds import Purpose
-from mbtl.study.closing_report import chances, drawn, estimated, plan_of
+from mbtl.study.closing_report import chances, drawn, estimated, fresh_value, plan_of
 
 N, TARGETS, EPISODES = 400, 20, 2
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
@@ -192,7 +192,7 @@ def test_a_region_that_never_plays_is_no_sample_of_the_others():
         playing.extend(contexts)
         return evaluate(policy, contexts, seeds)
 
-    fresh = study.run(lambda context, seed: context["x"], evaluate).fresh
+    fresh = study.run(lambda context, seed: context["x"], counted).fresh
     x, sources = space.unit[:, 0], list(study.history.sources)
     true = (1.0 - np.abs(x - x[sources][:, None]))[study.routing.route, np.arange(20)].mean()
     noise = 0.1 / np.sqrt(20 * EPISODES)
@@ -201,8 +201,32 @@ def test_a_region_that_never_plays_is_no_sample_of_the_others():
     assert fresh.gain_margin > 2.5 * noise
     said = fresh_episodes(summarise_study(study))
     assert "each of 14 of the 20 contexts (6 more gave none)" in said
+    playing.clear()
     study.run(lambda context, seed: context["x"], counted, report="all")
     assert playing == []  # they were tried
+
+
+def test_a_gain_has_the_doubt_of_where_the_best_single_policy_cannot_play():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 20})
+    x = space.unit[:, 0]
+    study = created(space, budget=2, bounds=(0.0, 1.0), strategy="random")
+    for home in (4, 15):
+        study.tell(home, np.where(np.abs(x - x[home]) < 0.6, 1.0 - np.abs(x - x[home]), np.nan))
+    route, best = study.routing.route, study.routing.best_single
+    rows = 1.0 - np.abs(x - x[list(study.history.sources)][:, None])
+    served, alone = rows[route, np.arange(20)], rows[best].copy()
+    true = (served - alone).mean()
+    alone[np.abs(x - x[study.history.sources[best]]) >= 0.6] = np.nan
+    study.record_fresh_returns(*(each[:, None] for each in (served, alone)), best_single=best)
+    fresh = fresh_value(study.state)
+    assert fresh.contexts == 20
+    assert fresh.value == pytest.approx(served.mean())
+    assert abs(fresh.gain - true) < 0.05
+    study.record_fresh_returns(
+        *(each[:, None] + np.zeros(2) for each in (served, alone)), best_single=best
+    )
+    fresh = fresh_value(study.state)
+    assert fresh.gain_margin > 0.02
 
 
 def test_a_callback_that_fails_ends_the_run_also_at_the_report():

@@ -183,6 +183,8 @@ def run(
             if not running.state.rows:
                 raise
             ended = error  # the policies that there are serve all the same
+    if running.is_finished and not (running.state.rows or running.state.failures):
+        raise TrainingFailed(f"nothing was trained: {running.stop_reason}")
     _finish(running, trainer, folder, as_json=as_json)
     if ended is not None:
         raise ended

@@ -157,18 +157,18 @@ def _tried(
         if difference(alone, roll(as_one(env), actions, 0)) is not None:
             return None
     try:
+        with opened(makers[1]) as (other,):
+            roll(as_one(other), actions, 0)
+    except Exception:  # it, too, fails alone
+        return None
+    try:
         with opened(*makers) as envs:
             if is_same(*envs):
                 raise one_instance()
             together = roll_together([as_one(env) for env in envs], actions, 0)
     except (InvalidInput, MissingExtra):
         raise
-    except Exception as error:  # one runs alone: if the other does, too, they cannot be together
-        try:
-            with opened(makers[1]) as (other,):
-                roll(as_one(other), actions, 0)
-        except Exception:
-            return None
+    except Exception as error:  # each runs alone, so the other one is the reason
         return Once(f"{_module(env)} ({type(error).__name__}: {error})")
     return None if difference(alone, together[0]) is None else Once(_module(env), silent=True)
 

@@ -96,11 +96,12 @@ class _Place:
                 [copied(first[a]) for a in self.env.agents] if self.is_team else [copied(first)]
             )
             self.total, self.steps, self.memory = 0.0, 0, None
-            self.broken = any(map(_has_nan, self.observations))
+            self.broken = _has_nan(first)
             self.rng = np.random.default_rng(action_seed(seed))
-            if self.observations:
+            if self.observations and not self.broken:
                 return True
-            self._book({} if self.score is None else self.env.summary)  # nobody had to decide
+            known = self.broken or self.score is None
+            self._book({} if known else self.env.summary)  # nobody had to decide, or can
         return False
 
     @classmethod
@@ -117,8 +118,10 @@ class _Place:
 
     def _book(self, info: Mapping[str, Any]) -> None:
         """What an episode is worth, once all of its strata were played."""
-        score = self.total if self.score is None else self.score.read(info)
-        score = np.nan if self.broken else score
+        if self.broken:
+            info, score = {}, np.nan
+        else:
+            score = self.total if self.score is None else self.score.read(info)
         told = [float(info.get(name, np.nan)) for name in self.measures]
         self.worth = self.worth + self.share * np.array([score, *told])
         self.played += self.steps
@@ -132,7 +135,7 @@ class _Place:
         """Take one step with one action per decision maker; True when the episode is over."""
         ended, info = self._team_step(actions) if self.is_team else self._step(actions[0])
         self.steps += 1
-        self.broken = self.broken or any(map(_has_nan, self.observations))
+        ended = ended or self.broken
         if self.steps > LONGEST_EPISODE:
             raise endless()
         if ended:
@@ -141,6 +144,7 @@ class _Place:
 
     def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
+        self.broken = _has_nan(observation)
         self.observations = [copied(observation)]
         self.total += float(reward)
         return terminated or truncated or self._is_foretold(info), info
@@ -148,7 +152,7 @@ class _Place:
     def _team_step(self, actions: Sequence[Any]) -> tuple[bool, Mapping[str, Any]]:
         agents = list(self.env.agents)
         seen, rewards, _, _, infos = self.env.step(dict(zip(agents, actions, strict=True)))
-        agents = self.env.agents
+        agents, self.broken = self.env.agents, _has_nan(seen)
         self.observations = [copied(seen[agent]) for agent in agents]
         self.total += float(sum(rewards.values()))
         info: Mapping[str, Any] = next(iter(infos.values()), {})
@@ -159,11 +163,13 @@ class _Place:
 
 
 def _has_nan(observation: Any) -> bool:
-    if isinstance(observation, dict):
+    """Of one decision maker or, by name, of several."""
+    if isinstance(observation, Mapping):
         return any(map(_has_nan, observation.values()))
     if isinstance(observation, tuple):
         return any(map(_has_nan, observation))
-    return bool(np.isnan(observation).any())
+    numbers = np.asarray(observation)
+    return numbers.dtype.kind == "f" and bool(np.isnan(numbers).any())
 
 
 @dataclass(frozen=True)

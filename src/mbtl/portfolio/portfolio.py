@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
-from mbtl.episodes import Episodes, episode_moments
+from mbtl.episodes import Episodes, checked_returns, completed
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, check_known
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
@@ -349,20 +348,20 @@ class Portfolio:
             played = trainer.evaluate(
                 self.policy(policy), [some[i] for i in mine], [seeds[i] for i in mine]
             )
-            rows |= dict(zip(mine, np.reshape(floats(played), (len(mine), -1)), strict=True))
-        returns = np.array([rows[i] for i in range(len(some))])
-        means = episode_moments(returns)[0]
-        returns, there = np.where(np.isnan(returns), means[:, None], returns), np.isfinite(means)
-        if not there.any():
+            told = checked_returns(played, len(mine), [some[i] for i in mine], gaps=True)
+            rows |= dict(zip(mine, told, strict=True))
+        returns = completed(np.array([rows[i] for i in range(len(some))]), gaps=True)
+        there = np.flatnonzero(np.isfinite(returns).all(axis=1)).tolist()
+        if not there:
             raise TrainingFailed(f"no episode counts, got NaN in all of {len(some)} contexts")
         return Served(
             self.space,
-            tuple(compress(some, there)),
-            tuple(compress(choices, there)),
+            tuple(some[i] for i in there),
+            tuple(choices[i] for i in there),
             returns[there],
             self.bounds,
             drawn,
-            int((~there).sum()),
+            len(some) - len(there),
         )
 
     # ---- keeping -----------------------------------------------------------------------------

@@ -117,7 +117,8 @@ class SelectionProblem:
     @cached_property
     def sources(self) -> NDArray[np.intp]:
         """(M,) indices of the contexts that one may train on."""
-        return np.arange(self.n) if self.trainable is None else np.flatnonzero(self.trainable)
+        here = np.arange(self.n) if self.trainable is None else np.flatnonzero(self.trainable)
+        return unwritable(here)
 
     @property
     def is_line(self) -> bool:

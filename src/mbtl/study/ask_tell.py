@@ -622,6 +622,10 @@ class AskTell:
     def extend(self, budget: int | Steps | Cost) -> None:
         """Raise the budget to so many trainings, or steps, or a cost, in all, for more picks.
 
+        Args:
+            budget: in all. A `Cost` without `trainings` leaves their number as it is, and a number
+                leaves the cost.
+
         Raises:
             InvalidInput: it is not larger than now, counts something else, or asks a selector for
                 more trainings than there are contexts.
@@ -636,10 +640,11 @@ class AskTell:
                 more = given.total // (spec.unit or given.total)
                 wanted, facts = given.total > spec.steps, {"steps": given.total}
             elif isinstance(given, Cost) and spec.cost_budget is not None:
-                more, facts = given.trainings or 0, {"cost_budget": float(given.total)}
+                more = spec.budget if given.trainings is None else given.trainings
+                facts = {"cost_budget": float(given.total)}
                 larger = (given.total, more) > (spec.cost_budget, spec.budget)
-                wanted = larger and given.total >= spec.cost_budget
-            elif isinstance(given, int) and spec.in_units:
+                wanted = larger and given.total >= spec.cost_budget and more >= spec.budget
+            elif isinstance(given, int) and spec.steps is None:
                 more = given
                 wanted = spec.budget < given <= most
             else:
@@ -648,7 +653,7 @@ class AskTell:
                 raise InvalidInput(
                     f"a budget can only be raised, and counts what it counted before, from "
                     f"{spec.size} (a selector's trainings up to one on each of {spec.space.n} "
-                    f"contexts), got {given}"
+                    f"contexts), got {given}{' trainings' * isinstance(given, int)}"
                 )
             return Event("extended", {"budget": int(min(max(more, spec.budget), most)), **facts})
 

@@ -402,7 +402,8 @@ class Batches:
 
     def _announce_pick(self, pick: Pick) -> None:
         self._announce("on_pick", pick)
-        if (often := self.study.state.picks[pick.number].abandoned) > 1:
+        often = self.study.state.picks[pick.number].abandoned
+        if often > 1 and self.executor is None:
             self._announce(
                 "on_note",
                 f"pick {pick.number + 1} was begun {often} times by processes that ended without a "

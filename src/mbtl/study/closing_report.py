@@ -181,22 +181,32 @@ def fresh_value(state: StudyState) -> FreshValue | None:
         return None
     weights, best = spec.space.weights, fresh.best_single
     served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
-    there, (each, lead) = _played(served), np.zeros((2, len(weights)))
-    count, lost, others = int(there.sum()), list(fresh.lost), list[Baseline]()
-    doubts, drawn = [0.0, 0.0], count + len(lost)
-    if not there.all():  # where all were played, what a model believes of them adds nothing
-        routing = state.routing()
+    (each, lead), routing = np.zeros((2, len(weights))), state.routing()
+    there, both = _played(served), _played(served - alone)
+    if not both.all():  # where all were played, what a model believes of them adds nothing
         each, lead = routing.served.copy(), routing.served - routing.believed[best]
-        if lost:  # no sample of the others, as those that break lie together
-            share = weights[lost] / np.maximum(chances(weights, drawn)[lost], np.finfo(float).tiny)
-            doubts = [routing.error(routing.route[lost], lost, share, a) for a in (None, best)]
-    value, margin = estimated(each, served, weights, drawn, doubts[0])
-    gain, gain_margin = estimated(lead, served - alone, weights, drawn, doubts[1])
+    lost = np.zeros(len(weights), dtype=bool)
+    lost[list(fresh.lost)] = True
+    count, drawn = int(there.sum()), int((there | lost).sum())
+    chance = chances(weights, drawn)
+    share = np.divide(weights, chance, out=np.zeros(len(weights)), where=chance > 0.0)
+
+    def doubt(some: NDArray[np.bool_], against: int | None = None) -> float:
+        """Of what is believed there: no sample of the others, as those that break lie together."""
+        at = np.flatnonzero(some)
+        return routing.error(routing.route[at], at, share[at], against) if at.size else 0.0
+
+    value, margin = estimated(each, served, weights, drawn, doubt(lost))
+    gain_doubt = doubt((there | lost) & ~both, best)
+    gain, gain_margin = estimated(lead, served - alone, weights, drawn, gain_doubt)
     each[there] = served[there].mean(axis=1)
+    others = list[Baseline]()
     for name, returns in fresh.baselines.items():
         difference = served - bounds.normalise(returns)
-        usual = np.full(len(weights), np.nanmean(difference))  # nothing is believed of it
-        ahead, bar = estimated(usual, difference, weights, drawn, doubts[0])
+        known = difference[there].mean(axis=1)
+        usual = np.full(len(weights), known.mean())  # nothing is believed of it
+        unknown = np.hypot(doubt(lost), share[lost].sum() * known.std())
+        ahead, bar = estimated(usual, difference, weights, drawn, float(unknown))
         others.append(Baseline(name, value - ahead, ahead, bar))
     return FreshValue(
         value, margin, served.shape[1], count, each, best, gain, gain_margin, tuple(others)

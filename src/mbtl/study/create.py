@@ -339,9 +339,9 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
     """Refuse other settings; what extends the study is none: a larger budget, all of it spent."""
     stored = state.spec
     now = replace(given, stop_left=stored.stop_left if given.stop_left is None else given.stop_left)
-    for name in ("budget", "steps", "cost_budget"):
-        if (getattr(given, name) or 0) >= ((was := getattr(stored, name)) or 0):
-            now = replace(now, **{name: was})
+    for size in ("budget", "steps", "cost_budget"):
+        if (getattr(given, size) or 0) >= ((before := getattr(stored, size)) or 0):
+            now = replace(now, **{size: before})
     was, now_record = (
         {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)
     )

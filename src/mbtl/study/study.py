@@ -530,8 +530,6 @@ def _pool(workers: Workers) -> Iterator[Executor | None]:
 
 def _check_any_success(study: Study) -> None:
     failures = [failure for failure in study.state.failures if not failure.pruned]
-    if study.is_finished and not (study.state.rows or study.state.failures):
-        raise TrainingFailed(f"nothing was trained: {study.stop_reason}")
     if failures and not study.state.rows:
         raise TrainingFailed(
             f"no training of this study succeeded, {len(failures)} failed, the last with "
@@ -753,10 +751,16 @@ def _play(
         return completed(returns, gaps=True), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
+    there = np.zeros(n, dtype=bool)
+    for i, (returns, _) in found.items():
+        targets = plan.targets(i)
+        there[targets] |= np.isfinite(returns).all(axis=1) & (plan.route[targets] == i)
     others: dict[str, tuple[Array, Array]] = {}
     for name, policy in baselines.items():
         try:
-            others[name] = play(policy, plan.contexts, own=False)
+            theirs = play(policy, plan.contexts, own=False)
+            completed(theirs[0][there[plan.contexts]])  # where the policies played
+            others[name] = theirs
         except FAULTS as error:  # V must not be lost by it
             announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
     episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others.values()))
@@ -768,7 +772,7 @@ def _play(
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
         metrics[0][:, targets[mine]] = means[:, mine]
-    lost = plan.contexts[np.isnan(served[plan.contexts]).any(axis=1)]
+    lost = plan.contexts[~there[plan.contexts]]
     if lost.size == plan.contexts.size:
         raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost.size} contexts")
     if lost.size:
@@ -787,7 +791,7 @@ def _play(
         baselines=compared,
         metrics=metrics if names else None,
         rows=rows,
-        lost=lost,
+        lost=lost.tolist(),
     )
 
 

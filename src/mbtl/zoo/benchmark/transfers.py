@@ -78,7 +78,8 @@ class TransferData:
 
     def __post_init__(self) -> None:
         sources, n = array_of("sources", self.sources), self.n
-        rising = sources.ndim == 1 and sources.dtype.kind in "iu" and (np.diff(sources) > 0).all()
+        listed = sources.ndim == 1 and sources.dtype.kind in "iu"
+        rising = listed and (sources[1:] > sources[:-1]).all()
         if not (rising and sources.size and sources[0] >= 0 and sources[-1] < n):
             raise InvalidInput(
                 f"sources are indices of contexts from 0 to {n - 1}, rising, got {short(sources)}"
