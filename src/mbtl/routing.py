@@ -323,7 +323,7 @@ class Routing:
         return found
 
     def error(
-        self, route: Indices, targets: Indices | list[int], weights: Array, alone: int | None = None
+        self, route: Indices, targets: Indices, weights: Array, alone: int | None = None
     ) -> float:
         """Standard deviation of V, or of a gain, as far as some of the targets make it unsure.
 
@@ -334,7 +334,7 @@ class Routing:
             alone: whose V the gain is over; None: V itself.
         """
         if alone is None:
-            return self.beliefs.error(route, np.asarray(targets), weights)
+            return self.beliefs.error(route, targets, weights)
         return self.beliefs.error(
             np.concatenate([route, np.full(len(route), alone)]),
             np.tile(targets, 2),

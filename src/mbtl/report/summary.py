@@ -303,8 +303,8 @@ def _behind(fresh: FreshReturns | None, bounds: Bounds) -> tuple[tuple[int, str]
     beside = performance_beside(fresh, bounds)
     names, rows = list(beside), np.array([*beside.values()])
     lead = bounds.normalise(fresh.served).mean(axis=1) - np.fmax.reduce(rows)
-    worst_first = np.argsort(lead, kind="stable")  # those that were not played are last
-    behind = (int(i) for i in worst_first if lead[i] < 0.0)
+    order = np.argsort(lead, kind="stable")  # those that were not played are last
+    behind = (int(i) for i in order if lead[i] < 0.0)
     return tuple((i, names[int(np.nanargmax(rows[:, i]))]) for i in behind)
 
 

@@ -137,6 +137,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         return {"version": is_text, "uid": _is_uid, "spec": is_record}
     n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
     least, now, same = state.spec.budget, state.spec.steps, event.data.get("to_the_end")
+    cost = state.spec.cost_budget
 
     def number(holds: Callable[[int], bool]) -> Rule:
         return lambda i: is_whole(i) and holds(i)
@@ -170,9 +171,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
         "extended": {
             "budget": number(lambda k: k == least if same else k >= least),
             "steps": more,
-            "cost_budget": or_null(
-                lambda c: is_number(c) and c >= (state.spec.cost_budget or c + 1)
-            ),
+            "cost_budget": or_null(lambda c: cost is not None and at_least(cost)(c)),
             "to_the_end": or_null(is_flag),
         },
         "asked": {

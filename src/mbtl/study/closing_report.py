@@ -196,7 +196,8 @@ def fresh_value(state: StudyState) -> FreshValue | None:
         at = np.flatnonzero(some)
         return routing.error(routing.route[at], at, share[at], against) if at.size else 0.0
 
-    value, margin = estimated(each, served, weights, drawn, doubt(lost))
+    unplayed = doubt(lost)
+    value, margin = estimated(each, served, weights, drawn, unplayed)
     gain_doubt = doubt((there | lost) & ~both, best)
     gain, gain_margin = estimated(lead, served - alone, weights, drawn, gain_doubt)
     each[there] = served[there].mean(axis=1)
@@ -205,7 +206,7 @@ def fresh_value(state: StudyState) -> FreshValue | None:
         difference = served - bounds.normalise(returns)
         known = difference[there].mean(axis=1)
         usual = np.full(len(weights), known.mean())  # nothing is believed of it
-        unknown = np.hypot(doubt(lost), share[lost].sum() * known.std())
+        unknown = np.hypot(unplayed, share[lost].sum() * known.std())
         ahead, bar = estimated(usual, difference, weights, drawn, float(unknown))
         others.append(Baseline(name, value - ahead, ahead, bar))
     return FreshValue(

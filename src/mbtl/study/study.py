@@ -751,42 +751,42 @@ def _play(
         return completed(returns, gaps=True), np.reshape(means, (len(names), targets.size))
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
-    there = np.zeros(n, dtype=bool)
-    for i, (returns, _) in found.items():
-        targets = plan.targets(i)
-        there[targets] |= np.isfinite(returns).all(axis=1) & (plan.route[targets] == i)
-    others: dict[str, tuple[Array, Array]] = {}
-    for name, policy in baselines.items():
-        try:
-            theirs = play(policy, plan.contexts, own=False)
-            completed(theirs[0][there[plan.contexts]])  # where the policies played
-            others[name] = theirs
-        except FAULTS as error:  # V must not be lost by it
-            announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
-    episodes = min(returns.shape[1] for returns, _ in (*found.values(), *others.values()))
+    episodes = min(returns.shape[1] for returns, _ in found.values())
     served, alone = np.full((2, n, episodes), np.nan)
-    metrics = np.full((1 + len(others), len(names), n), np.nan)
+    own_means = np.full((len(names), n), np.nan)
     alone[plan.contexts] = found[plan.best_single][0][:, :episodes]
     for i, (returns, means) in found.items():
         targets = plan.targets(i)
         mine = plan.route[targets] == i
         served[targets[mine]] = returns[mine, :episodes]
-        metrics[0][:, targets[mine]] = means[:, mine]
-    lost = plan.contexts[~there[plan.contexts]]
+        own_means[:, targets[mine]] = means[:, mine]
+    there = np.isfinite(served[plan.contexts]).all(axis=1)
+    others: dict[str, tuple[Array, Array]] = {}
+    for name, policy in baselines.items():
+        try:
+            theirs = play(policy, plan.contexts, own=False)
+            completed(theirs[0][there])  # where the policies played
+            others[name] = theirs
+        except FAULTS as error:  # V must not be lost by it
+            announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
+    lost = plan.contexts[~there]
     if lost.size == plan.contexts.size:
         raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost.size} contexts")
     if lost.size:
         words = f"{lost.size} of {plan.contexts.size} contexts had no fresh episode that counts"
         announce("on_note", f"{words}: of these V is as believed")
-    if missing := [n for n, told in zip(names, metrics[0], strict=True) if np.isnan(told).all()]:
+    if missing := [n for n, told in zip(names, own_means, strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
+    episodes = min([episodes, *(returns.shape[1] for returns, _ in others.values())])
+    metrics = np.full((1 + len(others), len(names), n), np.nan)
+    metrics[0] = own_means
     compared = {name: np.full((n, episodes), np.nan) for name in others}
     for k, (name, (returns, means)) in enumerate(others.items()):
         compared[name][plan.contexts] = returns[:, :episodes]
         metrics[1 + k][:, plan.contexts] = means
     study.record_fresh_returns(
-        served,
-        alone,
+        served[:, :episodes],
+        alone[:, :episodes],
         best_single=plan.best_single,
         baselines=compared,
         metrics=metrics if names else None,

@@ -449,9 +449,7 @@ class FunctionTrainer:
 
         if takes is None or takes.name != "seed":
             found = returns(contexts, seeds)
-            checked_returns(
-                found[SCORE], len(contexts), lambda t: str(dict(contexts[t])), gaps=True
-            )
+            checked_returns(found[SCORE], len(contexts), contexts, gaps=True)
             return {name: floats(rows) for name, rows in found.items()}
         each = [returns([c], seed) for c, seed in zip(contexts, seeds, strict=True)]
         for context, told in zip(contexts, each, strict=True):
