@@ -128,11 +128,12 @@ class WorldTrainer:
     @property
     def on_sets(self) -> dict[str, str]:
         """How the recipe of one policy for several contexts differs."""
-        best = f"the best of about {_JUDGED} evaluations a unit"
+        best, wide = f"the best of about {_JUDGED} evaluations a unit", "twice as wide as `hidden`"
+        if self.algorithm == "PPO" or self.episodes is not None:
+            wide += ", by PPO that counts steps in worlds of no own recipe"
         return {
             "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
-            "layers": "twice as wide as `hidden`, by PPO that counts steps in worlds of no own "
-            "recipe",
+            "layers": wide,
             "schedule": "falling slowly, and to zero along a last fifth",
             "checkpoint": best if self._judges_sets else "final",
         }
@@ -140,7 +141,8 @@ class WorldTrainer:
     @property
     def _judges_sets(self) -> bool:
         """Whether one policy for several contexts keeps the best of its evaluations."""
-        return self.episodes is not None and self.checkpoint == "best"
+        alters = self.episodes is not None or self.algorithm == "DQN"  # its latest weights do
+        return alters and self.checkpoint == "best"
 
     @property
     def unit(self) -> str:
@@ -190,16 +192,13 @@ class WorldTrainer:
 
     @property
     def takes(self) -> frozenset[Ability]:
-        """Several contexts by episodes, or by PPO; no state where no file can hold it."""
-        sets: set[Ability] = {"sets"} if self._why_no_sets is None else set()
+        """All there is; no state where no file can hold it."""
         storable = getattr(self.problem, "storable", True)
         stored: set[Ability] = {"state", "inherit", "resume"} if storable else set()
-        return frozenset({*sets, *stored, "start", "length"})
+        return frozenset({*stored, "sets", "start", "length"})
 
     def why_not(self, ability: Ability) -> str:
-        """What the recipe or the world cannot do."""
-        if ability == "sets":
-            return str(self._why_no_sets)
+        """What the world cannot do."""
         return "its simulators live in one process; choose another --engine"
 
     @property
@@ -263,12 +262,12 @@ class WorldTrainer:
         finished; else the critic, which no policy carries, begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
-        counted, it is context-conditioned PPO as in the multi-task baseline, mostly with wider
-        layers: its copies of the world take turns in the contexts.
+        counted, its copies of the world take turns in the contexts, and its layers are mostly
+        wider; by PPO it is the context-conditioned one of the multi-task baseline.
 
         Raises:
-            InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have,
-                several contexts by steps and not by PPO, or `start` has another shape.
+            InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have, or
+                `start` has another shape.
             TrainingFailed: the weights became NaN.
             MissingExtra: jax is not installed.
         """
@@ -603,15 +602,6 @@ class WorldTrainer:
         who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
         make, score = problem.make_env, problem.score
         return played(make, who, contexts, seeds, names, score=score, max_envs=1)[0]
-
-    @property
-    def _why_no_sets(self) -> str | None:
-        if self.episodes is not None or self.algorithm == "PPO":
-            return None
-        return (
-            f"multi-task methods learn by PPO, got a recipe of {self.algorithm}; choose another "
-            "--preset"
-        )
 
     @property
     def how(self) -> Literal["sampled", "mean"]:

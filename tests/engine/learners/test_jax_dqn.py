@@ -95,6 +95,19 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off():
     np.testing.assert_array_equal(batch.reward, 1.0)
 
 
+def test_transitions_of_several_contexts_keep_what_the_policy_saw_of_them():
+    lengths = [0.4, 0.6, 0.8]
+    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(ENV, [lengths]))
+    state, own = first(dqn.init(ENV, TINY, [3], params)), first(params)
+    state = jax.jit(partial(dqn.update, ENV, TINY))(
+        state, own, clock_at(jnp.int32(0), Pace.endless(10))
+    )
+    batch = dqn.unpack(state.replay[:256], own.visible)
+    seen = np.asarray(batch.obs)[:, FEATURES:]
+    np.testing.assert_array_equal(np.unique(seen), np.unique(own.visible))
+    np.testing.assert_array_equal(np.asarray(batch.after)[:, FEATURES:], seen)  # not yet the next
+
+
 @pytest.mark.long
 def test_the_ring_is_never_copied():
     recipe = replace(TINY, buffer_size=2**19)

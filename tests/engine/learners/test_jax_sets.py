@@ -111,11 +111,31 @@ def test_a_policy_with_layers_of_other_widths_is_no_beginning():
             TRAINER.train(CONTEXTS[:1], 5, start=policy, length=length)
 
 
-def test_what_cannot_be_trained_on_a_set_is_refused():
-    other = replace(TRAINER, algorithm="DQN")
-    assert "sets" not in other.takes
-    with pytest.raises(InvalidInput, match="learn by PPO, got a recipe of DQN"):
-        other.train(CONTEXTS, 3)
+@pytest.mark.parametrize(
+    ("algorithm", "own"),
+    [("A2C", {"n_envs": 4}), ("DQN", {"n_envs": 4, "buffer_size": 1024, "learning_starts": 0})],
+)
+def test_other_algorithms_learn_on_sets_too_go_on_and_are_copied(algorithm, own, tmp_path):
+    other = replace(TRAINER, algorithm=algorithm, recipe_name="fast", hyperparameters=own)
+    assert "sets" in other.takes
+    file, unit = tmp_path / "training.npz", other.update_length / other.whole
+    first, longer = (other.train(CONTEXTS, 3, length=k * unit, state=file) for k in (2, 4))
+    assert (first.steps, longer.steps) == (2 * other.update_length, 4 * other.update_length)
+    assert not same_policy(first.policy, longer.policy)
+    assert [len(bias) for bias in first.policy.biases] == [128, 128, 2]
+    (_, (wanted,), _), (_, _, trunk) = other.grow_many([CONTEXTS], [3], [2 * unit, 4 * unit])
+    assert apart(first.policy, wanted) < 1e-3
+    of = {"parents": trunk, "which": [0], "parents_on": len(CONTEXTS)}
+    ((_, (wanted,), _),) = other.grow_many([CONTEXTS[:1]], [5], [unit], **of)
+    copy = other.train(CONTEXTS[:1], 5, start=longer.policy, length=unit, state=file).policy
+    assert 10.0 * apart(copy, wanted) < apart(copy, longer.policy)
+
+
+def test_dqn_has_a_copy_per_context_as_long_as_they_fill_the_ring():
+    one = engine.DQNRecipe(n_envs=8, train_freq=4, gradient_steps=2, buffer_size=1280)
+    found = [engine.of_several(one, None, n) for n in (8, 20, 1000)]
+    assert [(x.n_envs, x.gradient_steps) for x in found] == [(8, 2), (32, 8), (64, 16)]
+    assert {x.hidden for x in found} == {(128, 128)}
 
 
 def test_the_best_of_its_evaluations_is_the_policy_and_they_do_not_disturb_it():
@@ -134,10 +154,11 @@ def test_the_best_of_its_evaluations_is_the_policy_and_they_do_not_disturb_it():
     assert same_policy(*(plain.policies(one.state.weights)[0] for one in (alone, trunk)))
 
 
-def test_only_recipes_by_episodes_that_keep_the_best_judge_one_policy_for_all():
+def test_only_recipes_by_episodes_and_dqn_that_keep_the_best_judge_one_policy_for_all():
     ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
     sets = [{"hold": 5.0}, {"hold": 10.0}]
     assert ring._growing([sets], [0]).judged > 0
     for trainer, some in ((ring, sets[:1]), (replace(ring, checkpoint="final"), sets)):
         assert trainer._growing([some], [0]).judged == 0
     assert TRAINER._growing([CONTEXTS], [0]).judged == 0
+    assert replace(TRAINER, algorithm="DQN", hyperparameters={})._growing([CONTEXTS], [0]).judged

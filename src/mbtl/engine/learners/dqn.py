@@ -7,7 +7,8 @@ place of new transitions in the ring and which of the old ones a minibatch takes
 written by one slice and read by one gather of whole rows, whatever its size.
 
 Notation (shapes of one policy): R rounds per update, T steps per round, E environment copies,
-G gradient steps per round, B minibatch, N transitions in the ring, f features of the state.
+G gradient steps per round, B minibatch, N transitions in the ring, f numbers in it of what is seen:
+the features of the state, and those of the context where a policy learns from several.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ def init(
     """
     begun = start(adam, world, recipe, seeds, params, weights)
     target = copied(begun.weights.actor)
-    replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
+    changing = params.visible.shape[-1] if params.visible.ndim == 3 else 0
+    width = 2 * (world.n_features + changing) + 3
+    replay = jnp.zeros((len(seeds), recipe.buffer_size, width))
     return begun._replace(target=target, replay=replay)
 
 
@@ -130,7 +133,8 @@ def explore(
     world: Solo, recipe: DQNRecipe, state: State, params: Tree, now: Round, total: jax.Array
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
-    network, n, f = state.weights.actor, networks.options(world), world.n_features
+    network, n = state.weights.actor, networks.options(world)
+    f = (state.replay.shape[-1] - 3) // 2
 
     def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         t, coin = drawn
@@ -179,8 +183,13 @@ def descend(
 
 
 def unpack(rows: jax.Array, visible: jax.Array) -> Batch:
-    """Rows of the ring as transitions, with the (v,) visible features back in the observations."""
+    """Rows of the ring as transitions, with the (v,) visible features back in the observations.
+
+    Those of several contexts, (n, v), are there already.
+    """
     batch = unpacked(rows)
+    if visible.ndim == 2:
+        return batch
     shown = jnp.broadcast_to(visible, (len(rows), *visible.shape))
     return batch._replace(
         obs=jnp.concatenate([batch.obs, shown], axis=-1),

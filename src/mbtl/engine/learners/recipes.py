@@ -197,11 +197,15 @@ class DQNRecipe(WithCopies):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.buffer_size % self.steps_per_round:
+        if not self.takes_copies(self.n_envs):
             raise InvalidInput(
                 f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
                 f"got {self.buffer_size}"
             )
+
+    def takes_copies(self, n_envs: int) -> bool:
+        """Whether rounds of so many copies would fill the replay."""
+        return self.buffer_size % (n_envs * self.train_freq) == 0
 
     @property
     def steps_per_round(self) -> int:
@@ -330,20 +334,28 @@ def multitask_recipe(
 def of_several(one: Any, world: Any, n_contexts: int) -> Any:
     """The recipe of one policy for several contexts, where it is to be as good as it can be.
 
-    Counting steps, that of `multitask_recipe` with layers twice as wide: what to do depends on one
-    thing more (docs/decisions.md); CartPole and Pendulum keep theirs.
+    Counting steps, layers are twice as wide: what to do depends on one thing more
+    (docs/decisions.md). PPO learns as in `multitask_recipe`; CartPole and Pendulum keep theirs. DQN
+    has as many copies of the world as there are contexts, where the ring takes them, and as many
+    gradient steps per environment step as for one: from few it learns nothing.
     Counting episodes, an update of TRPO sees four contexts, or all: by the episode of one, a policy
     is pulled away from all others. What others learn from an episode would shrink with the number
     of updates.
     """
-    if not isinstance(one, TwinRecipe):
-        spread = multitask_recipe("ppo", one, world, n_contexts)
-        if own_recipe(world) is not None:
-            return spread
-        return replace(spread, hidden=tuple(_WIDER * width for width in spread.hidden))
-    if not isinstance(one, TRPORecipe):
+    if isinstance(one, TRPORecipe):
+        return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
+    if isinstance(one, TwinRecipe):
         return one
-    return replace(one, n_episodes=max(one.n_episodes, min(_AT_ONCE, n_contexts)))
+    if isinstance(one, PPORecipe):
+        one = multitask_recipe("ppo", one, world, n_contexts)
+        if own_recipe(world) is not None:
+            return one
+    if isinstance(one, DQNRecipe):
+        more = 1
+        while more * one.n_envs < n_contexts and one.takes_copies(2 * more * one.n_envs):
+            more *= 2
+        one = replace(one, n_envs=more * one.n_envs, gradient_steps=more * one.gradient_steps)
+    return replace(one, hidden=tuple(_WIDER * width for width in one.hidden))
 
 
 def as_wide_as(recipe: Learner, weights: Any) -> Any:

@@ -35,7 +35,7 @@ class State(NamedTuple):
         fresh: (2,) whether actor and critic have never learnt; () where nothing depends on it.
         target: of DQN, what `weights.actor` was when it was last copied.
         replay: of DQN, (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
-            terminated. Visible context features are constants of a policy and not in it.
+            terminated. Visible features of a context are in it where they change: on several.
     """
 
     weights: Any

@@ -31,7 +31,7 @@ from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput, written
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
-from mbtl.trainers.contract import Progress, Trainer, recipe_of, refusal
+from mbtl.trainers.contract import Progress, Trainer, recipe_of
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.provenance import here
 from mbtl.zoo.benchmark.shipped import data_folder, seed_files
@@ -225,8 +225,11 @@ class InJax:
     length: int
 
     def __post_init__(self) -> None:
-        if why := refusal(self.trainer, "sets"):
-            raise InvalidInput(why)
+        if (algorithm := self.trainer.algorithm) != "PPO":
+            raise InvalidInput(
+                f"multi-task methods learn by PPO, got a recipe of {algorithm}; choose another "
+                "--preset"
+            )
 
     @property
     def settings(self) -> dict[str, Any]:

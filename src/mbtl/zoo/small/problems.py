@@ -21,21 +21,25 @@ from mbtl.problems import CMDP
 SOURCES = 16
 """Contexts of a problem of one axis; of two or three, 4 on each."""
 
-Algorithm = Literal["ppo", "a2c"]
+Algorithm = Literal["ppo", "a2c", "dqn"]
 Length = Literal["long", "short"]
 
 _SHAPES: Mapping[Algorithm, Mapping[str, Any]] = {
     "ppo": {"n_envs": 8, "n_steps": 128, "batch_size": 128, "n_epochs": 2},
     # A2C is PPO with one pass, one minibatch and no clipping
     "a2c": {"n_envs": 16, "n_steps": 16, "batch_size": 256, "n_epochs": 1, "clip_range": 1e9},
-}
+    "dqn": {"n_envs": 8, "batch_size": 64, "gradient_steps": 4, "buffer_size": 25_600,
+            "target_every": 512, "exploration_fraction": 0.2},
+}  # fmt: skip
 _SETTINGS: tuple[tuple[bool, Length, Algorithm], ...] = (
     (True, "long", "ppo"),
     (True, "short", "a2c"),
     (False, "long", "a2c"),
     (False, "short", "ppo"),
+    (True, "long", "dqn"),
+    (False, "short", "dqn"),
 )
-"""Whether the policy sees the context; half of the eight combinations, balanced."""
+"""Whether the policy sees the context; half of the combinations, balanced."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class Kind:
         bounds: returns at which performance is 0 and 1.
         scale: usual sizes of what is seen.
         steps: of a long and of a short training.
+        discrete: whether its actions are, so that DQN learns it.
         recipe: hyper-parameters beside `_SHAPES`.
     """
 
@@ -63,6 +68,7 @@ class Kind:
     scale: tuple[float, ...]
     steps: Mapping[Length, int]
     recipe: Mapping[str, Any] = field(default_factory=dict)
+    discrete: bool = False
 
 
 _SENSORS = {"noise": (0.0, 0.6), "delay": (0.0, 5.0)}
@@ -80,7 +86,7 @@ KINDS: Mapping[str, Kind] = {
         (("length", "force"), ("timestep", "gravity"), ("masscart", "turn")),
         ("masscart", "length", "force"),
         (0.0, 200.0), (0.5, 0.5, 0.1, 0.5), {"long": 120_000, "short": 30_000},
-        {"gamma": 0.98, "learning_rate": 1e-3},
+        {"gamma": 0.98, "learning_rate": 1e-3}, discrete=True,
     ),
     "swing": Kind(
         "Swing",
@@ -101,7 +107,7 @@ KINDS: Mapping[str, Kind] = {
         (("mass", "torque"), ("gravity", "timestep"), ("length", "turn")),
         ("mass", "torque", "gravity"),
         (-200.0, -50.0), (0.5, 0.5, 0.5, 0.5, 1.0, 2.0), {"long": 100_000, "short": 40_000},
-        {"gamma": 0.98, "learning_rate": 1e-3},
+        {"gamma": 0.98, "learning_rate": 1e-3}, discrete=True,
     ),
     "hill": Kind(
         "MountainCar",
@@ -172,6 +178,7 @@ def problem(kind: str, axes: tuple[str, ...], visible: bool, length: Length, by:
     sight = "seen" if visible else "hidden"
     trainer = WorldTrainer(
         SmallProblem(kind, axes, visible),
+        algorithm="DQN" if by == "dqn" else "PPO",
         timesteps=one.steps[length],
         hyperparameters=recipe,
         eval_episodes=20,
@@ -185,6 +192,8 @@ def problem(kind: str, axes: tuple[str, ...], visible: bool, length: Length, by:
 def groups() -> Iterator[tuple[int, list[CMDP]]]:
     """All small problems, those of one world, recipe and length together, each with its seed."""
     for name, (visible, length, by) in product(KINDS, _SETTINGS):
+        if by == "dqn" and not KINDS[name].discrete:
+            continue
         one: list[tuple[str, ...]] = [(axis,) for axis in KINDS[name].axes]
         two: list[tuple[str, ...]] = list(KINDS[name].pairs) if length == "long" else []
         three = [KINDS[name].triple]
