@@ -129,20 +129,30 @@ class WorldTrainer:
     def on_sets(self) -> dict[str, str]:
         """How the recipe of one policy for several contexts differs."""
         best, wide = f"the best of about {_JUDGED} evaluations a unit", "twice as wide as `hidden`"
-        if self.algorithm == "PPO" or self.episodes is not None:
-            wide += ", by PPO that counts steps in worlds of no own recipe"
-        return {
-            "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
-            "layers": wide,
+        always = {
             "schedule": "falling slowly, and to zero along a last fifth",
             "checkpoint": best if self._judges_sets else "final",
         }
+        if self._by_ppo or self.episodes is not None:
+            return always | {
+                "contexts": "uniform, one per episode; by TRPO four, or all, in an update",
+                "layers": f"{wide}, by PPO that counts steps in worlds of no own recipe",
+            }
+        return always | {
+            "contexts": "uniform, one per episode",
+            "copies": "16 or more of A2C; of DQN one per context, and gradient steps per copy",
+            "layers": wide,
+        }
+
+    @property
+    def _by_ppo(self) -> bool:
+        """Whether it learns by PPO that counts steps, whose latest weights are good ones."""
+        return self.algorithm == "PPO" and self.episodes is None
 
     @property
     def _judges_sets(self) -> bool:
         """Whether one policy for several contexts keeps the best of its evaluations."""
-        alters = self.episodes is not None or self.algorithm == "DQN"  # its latest weights do
-        return alters and self.checkpoint == "best"
+        return self.checkpoint == "best" and not self._by_ppo
 
     @property
     def unit(self) -> str:
@@ -254,12 +264,13 @@ class WorldTrainer:
         A whole training on one context follows the recipe, which may say that the best of periodic
         evaluations counts. A training of a given `length`, and one on several contexts, has a
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
-        (`mbtl.engine.learners.growing`). It has the latest weights and does not evaluate itself,
-        but that on several contexts by a recipe that counts episodes and keeps the best: twenty
-        times a unit each context is played once, which its steps do not count, as a specialist's.
-        Where it begins with the policy of another one, whose state is there, it inherits the
-        latter's critic, optimiser, statistics and learning rate, and its actor before it was
-        finished; else the critic, which no policy carries, begins anew.
+        (`mbtl.engine.learners.growing`). By PPO that counts steps, and on one context, it has the
+        latest weights and does not evaluate itself. Else, where the recipe keeps the best, so does
+        it: twenty times a unit each context is played once, which its steps do not count, as a
+        specialist's. Where it begins with the policy of another one, whose state is there, it
+        inherits the latter's critic, optimiser, statistics and learning rate, and its actor before
+        it was finished, or the best of its evaluations; else the critic, which no policy carries,
+        begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
         counted, its copies of the world take turns in the contexts, and its layers are mostly
@@ -354,11 +365,9 @@ class WorldTrainer:
             before += file.notes.get(_BEFORE, 0)
             before = _as_own(before, file.notes.get(_WHOLE, growing.whole), growing.whole)
             spent = self._updates(done, unit)
-            on_trunk, _ = engine.stage(spent)  # schedules follow the number of updates
-            training = training._replace(updates=training.updates + on_trunk)
-            now = int(training.updates)
+            before += engine.stage(spent)[0]  # its state is lost; schedules go on
             own = {_BEFORE: before, _WHOLE: growing.whole}
-            file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, **own}
+            file.notes = {_SPENT: spent, _FROM: 0, _SEED: seed, **own}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
         growing = growing._replace(before=file.notes[_BEFORE])
         planned = max(self._updates(length, unit), spent)

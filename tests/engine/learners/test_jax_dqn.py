@@ -48,6 +48,8 @@ def test_epsilon_falls_from_1_in_the_given_share_of_the_training():
     recipe = engine.DQNRecipe(exploration_fraction=0.1, final_epsilon=0.05, learning_starts=100)
     at = [float(dqn.epsilon(recipe, jnp.int32(s), 10_000)) for s in (0, 99, 100, 500, 1000, 9999)]
     assert at == pytest.approx([1.0, 1.0, 1.0 - 0.095, 1.0 - 0.475, 0.05, 0.05], rel=1e-6)
+    copy = [float(dqn.epsilon(recipe, jnp.int32(s), 10_000, 400)) for s in (99, 100, 600)]
+    assert copy == pytest.approx([1.0, 1.0 - 0.475, 0.05], rel=1e-6)
 
 
 def test_actions_are_greedy_but_for_a_share_epsilon():
@@ -60,7 +62,7 @@ def test_actions_are_greedy_but_for_a_share_epsilon():
 
     def rows_at(step):
         now = dqn.Round(jnp.int32(step), coin, reset, jnp.zeros((1, 16)))
-        return explore(state, params, now, jnp.int32(10_000))[1]
+        return explore(state, params, now, (0, jnp.int32(10_000)))[1]
 
     batch = dqn.unpack(rows_at(9_000), params.visible)
     greedy = np.argmax(networks.apply(state.weights.actor, batch.obs, "relu"), axis=-1)
@@ -96,16 +98,23 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off():
 
 
 def test_transitions_of_several_contexts_keep_what_the_policy_saw_of_them():
-    lengths = [0.4, 0.6, 0.8]
-    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(ENV, [lengths]))
-    state, own = first(dqn.init(ENV, TINY, [3], params)), first(params)
-    state = jax.jit(partial(dqn.update, ENV, TINY))(
+    """And it is the own one: heavier poles are pushed back less by the same action."""
+    env, lengths = worlds.Solo(CartPole(horizon=3)), [0.1, 0.6, 5.0]
+    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(env, [lengths]))
+    state, own = first(dqn.init(env, TINY, [3], params)), first(params)
+    state = jax.jit(partial(dqn.update, env, TINY))(
         state, own, clock_at(jnp.int32(0), Pace.endless(10))
     )
     batch = dqn.unpack(state.replay[:256], own.visible)
-    seen = np.asarray(batch.obs)[:, FEATURES:]
+    obs, after = (np.asarray(x) for x in (batch.obs, batch.after))
+    seen = obs[:, FEATURES:]
     np.testing.assert_array_equal(np.unique(seen), np.unique(own.visible))
-    np.testing.assert_array_equal(np.asarray(batch.after)[:, FEATURES:], seen)  # not yet the next
+    np.testing.assert_array_equal(after[:, FEATURES:], seen)  # not yet the next
+    assert (seen.reshape(4, 64)[0] != seen.reshape(4, 64)[3]).any()  # an episode has ended
+    turned = np.abs(after[:, 3] - obs[:, 3])  # speed of the pole in one step
+    each = [turned[seen[:, 0] == shown] for shown in np.ravel(own.visible)]
+    assert each[0].min() > each[1].max()
+    assert each[1].min() > each[2].max()
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from poles import apart, same_policy
+from poles import apart, assert_same, same, same_policy
 
 import mbtl.engine.learners as engine
 from mbtl.engine.learners import recipes
@@ -113,14 +113,19 @@ def test_a_policy_with_layers_of_other_widths_is_no_beginning():
 
 @pytest.mark.parametrize(
     ("algorithm", "own"),
-    [("A2C", {"n_envs": 4}), ("DQN", {"n_envs": 4, "buffer_size": 1024, "learning_starts": 0})],
+    [
+        ("A2C", {"n_envs": 1, "n_steps": 128}),
+        ("DQN", {"n_envs": 1, "train_freq": 128, "buffer_size": 1024, "learning_starts": 0}),
+    ],
 )
 def test_other_algorithms_learn_on_sets_too_go_on_and_are_copied(algorithm, own, tmp_path):
+    """With a copy of the world per context, so an update for four is twice as long as for one."""
     other = replace(TRAINER, algorithm=algorithm, recipe_name="fast", hyperparameters=own)
+    other = replace(other, checkpoint="final")
     assert "sets" in other.takes
-    file, unit = tmp_path / "training.npz", other.update_length / other.whole
+    file, unit = tmp_path / "training.npz", 2 * other.update_length / other.whole
     first, longer = (other.train(CONTEXTS, 3, length=k * unit, state=file) for k in (2, 4))
-    assert (first.steps, longer.steps) == (2 * other.update_length, 4 * other.update_length)
+    assert (first.steps, longer.steps) == (4 * other.update_length, 8 * other.update_length)
     assert not same_policy(first.policy, longer.policy)
     assert [len(bias) for bias in first.policy.biases] == [128, 128, 2]
     (_, (wanted,), _), (_, _, trunk) = other.grow_many([CONTEXTS], [3], [2 * unit, 4 * unit])
@@ -131,11 +136,53 @@ def test_other_algorithms_learn_on_sets_too_go_on_and_are_copied(algorithm, own,
     assert 10.0 * apart(copy, wanted) < apart(copy, longer.policy)
 
 
-def test_dqn_has_a_copy_per_context_as_long_as_they_fill_the_ring():
+def test_copies_begin_from_the_best_of_evaluations_where_those_were_kept(tmp_path):
+    own = {"n_envs": 4, "buffer_size": 1024, "learning_starts": 0, "learning_rate": 1e-2}
+    other = replace(TRAINER, algorithm="DQN", recipe_name="fast", hyperparameters=own)
+    file, unit = tmp_path / "training.npz", other.update_length / other.whole
+    parent = other.train(CONTEXTS, 3, length=5 * unit, state=file).policy
+    ((_, _, trunk),) = other.grow_many([CONTEXTS], [3], [5 * unit])
+    best, latest = trunk.best.actor, trunk.state.weights.actor
+    growing = other._growing([CONTEXTS[:1]], [5])
+    growing = growing._replace(recipe=engine.as_wide_as(growing.recipe, trunk.best))
+    begun = engine.taking_over(growing.start(), trunk, [0]).state
+    assert_same((begun.weights.actor, begun.target), (best, best))
+    assert not same(best, latest)
+    saved = engine.SavedTraining(file).inherited(growing.start())[0].state
+    assert_same(saved.weights.actor, best)
+    given = {"start": parent, "length": unit}
+    copy = other.train(CONTEXTS[:1], 5, state=file, **given).policy
+    ((_, (wanted,), _),) = other.grow_many(
+        [CONTEXTS[:1]], [5], [unit], parents=trunk, which=[0], parents_on=len(CONTEXTS)
+    )
+    assert apart(copy, wanted) < 1e-3
+
+
+def test_a_training_whose_state_is_lost_goes_on_with_an_empty_ring_at_its_rate(monkeypatch):
+    own = {"n_envs": 4, "buffer_size": 1024, "learning_starts": 0}
+    other = replace(TRAINER, algorithm="DQN", recipe_name="fast", hyperparameters=own)
+    unit, begun, along = other.update_length / other.whole, [], engine.Growing.along
+
+    def noting(self, trunk, until, on_block=None):
+        begun.append((self.before, int(trunk.updates), until))
+        return along(self, trunk, until, on_block)
+
+    monkeypatch.setattr(engine.Growing, "along", noting)
+    policy = other.train(CONTEXTS, 3, length=5 * unit).policy
+    other.train(CONTEXTS, 3, start=policy, done=5 * unit, length=10 * unit)
+    # four updates on the trunk and one on a branch, as often as it went on
+    assert begun == [(0, 0, 4), (4, 0, 4)]
+
+
+def test_dqn_has_a_copy_per_context_whose_steps_fill_the_ring_and_a2c_sixteen():
     one = engine.DQNRecipe(n_envs=8, train_freq=4, gradient_steps=2, buffer_size=1280)
-    found = [engine.of_several(one, None, n) for n in (8, 20, 1000)]
-    assert [(x.n_envs, x.gradient_steps) for x in found] == [(8, 2), (32, 8), (64, 16)]
+    found = [engine.of_several(one, None, n) for n in (3, 8, 20, 100)]
+    assert [(x.n_envs, x.gradient_steps) for x in found] == [(8, 2), (8, 2), (32, 8), (128, 32)]
+    assert [x.buffer_size for x in found] == [1280, 1280, 1280, 1536]
     assert {x.hidden for x in found} == {(128, 128)}
+    fewer, more = engine.A2CRecipe(n_envs=1), engine.A2CRecipe(n_envs=32)
+    assert [engine.of_several(fewer, None, n).n_envs for n in (4, 100)] == [4, 16]
+    assert engine.of_several(more, None, 100).n_envs == 32
 
 
 def test_the_best_of_its_evaluations_is_the_policy_and_they_do_not_disturb_it():

@@ -7,8 +7,8 @@ place of new transitions in the ring and which of the old ones a minibatch takes
 written by one slice and read by one gather of whole rows, whatever its size.
 
 Notation (shapes of one policy): R rounds per update, T steps per round, E environment copies,
-G gradient steps per round, B minibatch, N transitions in the ring, f numbers in it of what is seen:
-the features of the state, and those of the context where a policy learns from several.
+G gradient steps per round, B minibatch, N transitions in the ring, f numbers of an observation that
+change: features of the state, and of the context where a policy learns from several.
 """
 
 from __future__ import annotations
@@ -90,11 +90,12 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
         world.noise(reset_key, shape),
         jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
     )
-    rate = clock.rate
-    total = clock.pace.whole * recipe.update_length
+    rate, pace = clock.rate, clock.pace
+    # a tuned copy goes on exploring where its parent was, with a ring of its own
+    time = pace.before * recipe.update_length, pace.whole * recipe.update_length
 
     def one(state: State, now: Round) -> tuple[State, None]:
-        state, rows = explore(world, recipe, state, params, now, total)
+        state, rows = explore(world, recipe, state, params, now, time)
         replay = jax.lax.dynamic_update_slice(
             state.replay, rows, (now.step % recipe.buffer_size, 0)
         )
@@ -118,9 +119,11 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
     return state
 
 
-def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
-    """Probability of a random action at environment step `step` of `total`."""
-    falling = fallen(recipe, step / (recipe.exploration_fraction * total))
+def epsilon(
+    recipe: DQNRecipe, step: jax.Array, total: jax.Array, before: jax.Array | int = 0
+) -> jax.Array:
+    """Probability of a random action at environment step `step`, after `before`, of `total`."""
+    falling = fallen(recipe, (before + step) / (recipe.exploration_fraction * total))
     return jnp.where(step < recipe.learning_starts, 1.0, falling)
 
 
@@ -130,15 +133,23 @@ def fallen(recipe: DQNRecipe | EpisodicDQNRecipe, share: jax.Array) -> jax.Array
 
 
 def explore(
-    world: Solo, recipe: DQNRecipe, state: State, params: Tree, now: Round, total: jax.Array
+    world: Solo,
+    recipe: DQNRecipe,
+    state: State,
+    params: Tree,
+    now: Round,
+    time: tuple[jax.Array | int, jax.Array],
 ) -> tuple[State, jax.Array]:
-    """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
-    network, n = state.weights.actor, networks.options(world)
+    """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring.
+
+    The time is that of the trainings before, and that of a whole one, in environment steps.
+    """
+    network, n, (before, total) = state.weights.actor, networks.options(world), time
     f = (state.replay.shape[-1] - 3) // 2
 
     def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         t, coin = drawn
-        chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
+        chance = epsilon(recipe, now.step + t * recipe.n_envs, total, before)
         random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
         greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
         action = jnp.where(coin < chance, random, greedy)

@@ -86,7 +86,8 @@ class Growing(NamedTuple):
     ) -> Weights:
         """Weights at the end of a branch of so many updates; the trunk stays as it is.
 
-        The best ones so far, where they are judged.
+        Where they are judged, the best ones of the trunk so far and of this branch; those of other
+        branches are forgotten.
 
         Raises:
             TrainingFailed: weights are no longer finite.

@@ -197,15 +197,11 @@ class DQNRecipe(WithCopies):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.takes_copies(self.n_envs):
+        if self.buffer_size % self.steps_per_round:
             raise InvalidInput(
                 f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
                 f"got {self.buffer_size}"
             )
-
-    def takes_copies(self, n_envs: int) -> bool:
-        """Whether rounds of so many copies would fill the replay."""
-        return self.buffer_size % (n_envs * self.train_freq) == 0
 
     @property
     def steps_per_round(self) -> int:
@@ -301,6 +297,8 @@ _SHORTEST = 16
 _N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
 _AT_ONCE = 4
 """Contexts, an episode in each, from which an update of a policy for several learns at least."""
+_A2C_COPIES = 16
+"""That A2C needs to learn from several contexts."""
 _WIDER = 2
 """Hidden layers of a policy for several contexts, in those of one for one."""
 
@@ -336,8 +334,8 @@ def of_several(one: Any, world: Any, n_contexts: int) -> Any:
 
     Counting steps, layers are twice as wide: what to do depends on one thing more
     (docs/decisions.md). PPO learns as in `multitask_recipe`; CartPole and Pendulum keep theirs. DQN
-    has as many copies of the world as there are contexts, where the ring takes them, and as many
-    gradient steps per environment step as for one: from few it learns nothing.
+    has a copy of the world per context, and as many gradient steps per environment step as for one:
+    from few copies it learns nothing. A2C has sixteen copies or more.
     Counting episodes, an update of TRPO sees four contexts, or all: by the episode of one, a policy
     is pulled away from all others. What others learn from an episode would shrink with the number
     of updates.
@@ -351,10 +349,16 @@ def of_several(one: Any, world: Any, n_contexts: int) -> Any:
         if own_recipe(world) is not None:
             return one
     if isinstance(one, DQNRecipe):
-        more = 1
-        while more * one.n_envs < n_contexts and one.takes_copies(2 * more * one.n_envs):
-            more *= 2
-        one = replace(one, n_envs=more * one.n_envs, gradient_steps=more * one.gradient_steps)
+        more = 1 << max(math.ceil(math.log2(n_contexts / one.n_envs)), 0)
+        rows = more * one.steps_per_round  # which must fill the ring
+        one = replace(
+            one,
+            n_envs=more * one.n_envs,
+            gradient_steps=more * one.gradient_steps,
+            buffer_size=math.ceil(one.buffer_size / rows) * rows,
+        )
+    if isinstance(one, A2CRecipe):
+        one = replace(one, n_envs=max(one.n_envs, min(_A2C_COPIES, n_contexts)))
     return replace(one, hidden=tuple(_WIDER * width for width in one.hidden))
 
 

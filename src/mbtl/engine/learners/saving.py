@@ -1,8 +1,8 @@
 """Trainings in a file, so that an interrupted one goes on where it was, or another one from it.
 
 A training on other contexts takes over all that is not of contexts: networks, the optimiser and
-statistics of rewards. Simulations stay, and with them the replay of transitions where it is of
-copies.
+statistics of rewards. Where the best of evaluations was kept, its networks, for the latest may be
+worth nothing. Simulations stay, and with them the replay of transitions where it is of copies.
 """
 
 from __future__ import annotations
@@ -63,6 +63,8 @@ class SavedTraining:
         def inheriting(arrays: dict[str, NDArray[Any]]) -> tuple[Training, int]:
             fields = _taken(begun.state)
             given = {n: from_arrays(own, arrays, f".state.{n}") for n, own in fields.items()}
+            if np.isfinite(from_arrays(begun.best_return, arrays, ".best_return")).all():
+                given["weights"] = from_arrays(begun.best, arrays, ".best")
             return _begun_with(begun, given), int(arrays[".updates"])
 
         return self._read(inheriting)
@@ -97,7 +99,10 @@ def taking_over(training: Training, parent: Training, which: Sequence[int]) -> T
         which: (P,) one of them for each.
     """
     index = np.asarray(which)
-    given = jax.tree.map(lambda x: x[index], _taken(parent.state))
+    theirs = _taken(parent.state)
+    if np.isfinite(parent.best_return).all():
+        theirs["weights"] = parent.best
+    given = jax.tree.map(lambda x: x[index], theirs)
     return _begun_with(training, given)
 
 

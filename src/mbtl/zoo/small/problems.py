@@ -196,7 +196,7 @@ def groups() -> Iterator[tuple[int, list[CMDP]]]:
             continue
         one: list[tuple[str, ...]] = [(axis,) for axis in KINDS[name].axes]
         two: list[tuple[str, ...]] = list(KINDS[name].pairs) if length == "long" else []
-        three = [KINDS[name].triple]
+        three = [] if by == "dqn" else [KINDS[name].triple]  # it takes minutes each
         # what a policy sees decides about its network, so about what can be trained together
         for some in (one, two, three) if visible else (one + two, three):
             group = [problem(name, axes, visible, length, by) for axes in some]
