@@ -191,6 +191,10 @@ def test_selectors_see_specialists_only():
         (Proposal(0, "x", start=4), "policy of a row, 0 to 0, got start=4"),
         (Proposal(0, "x", length=-1.0), "a length >= 0 in units, got -1"),
         (Proposal(0, "x", length=0.0), r"has a start= and targets="),
+        (
+            Proposal(3, "x", start=0, length=0.0, sources=ALL, targets=(1, 2)),
+            r"evaluated once on a target, got targets where row 0 is known",
+        ),
         (Proposal(3, "x", start=0, length=0.5, sources=ALL), "goes on beyond the 1 units"),
         (Proposal(3, "x", start=0, length=9.0, sources=ALL), "got 8 units where 1 are spent"),
         (Proposal(3, "x", sources=(1, 2)), "with `source` among them, got source=3"),
@@ -662,6 +666,23 @@ def test_what_is_under_way_counts_where_costs_are_only_told():
     assert study.state.units_left == 2.5
     study.ask(2)
     assert study.state.units_left == 0.5
+
+
+@pytest.mark.parametrize("strategy", ["equidistant", "kmeans"])
+def test_selectors_spread_their_picks_by_what_the_budget_pays_for(strategy):
+    steps = mbtl.Steps(10_300, unit=1000, horizon=30)  # evaluated on eight targets, ten times each
+    budgets = (3, mbtl.Cost(6.0, np.full(N, 2.0)), steps)
+    picked = [
+        [pick.source for pick in mbtl.create_study(SPACE, budget=one, strategy=strategy).ask(2)]
+        for one in budgets
+    ]
+    assert picked[0] == picked[1] == picked[2]
+    assert len(set(picked[0])) == 2
+
+
+def test_one_target_is_too_few_to_know_anything_of_elsewhere():
+    with pytest.raises(InvalidInput, match="on 2 to 8 targets, got 1"):
+        mbtl.create_study(SPACE, budget=3, evaluation=mbtl.Evaluation(1))
 
 
 @pytest.mark.parametrize("strategy", ["auto", "one-policy"])

@@ -95,6 +95,7 @@ def test_a_function_may_change_its_start_in_its_place():
     ("contexts", "asked", "said"),
     [
         ([], {}, "at least one context, got none"),
+        (ONE, {"length": 0}, "longer than 0 units, got length=0"),
         ({"x": 1.0}, {}, r"a list of contexts, got one by itself, \{'x': 1\.0\}; write train"),
         (TWO, {}, "one policy on several contexts"),
         (ONE, {"start": 0}, "begin with the weights of a policy"),

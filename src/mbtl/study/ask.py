@@ -280,6 +280,13 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
                 f"the trainer of this study cannot {DEEDS[ability]}, which {name!r} asks for; give "
                 "another trainer, or a strategy that goes by `problem.abilities`"
             )
+    if length == 0.0 and start is not None:
+        on = list(range(seen.n_targets) if pick.targets is None else pick.targets)
+        if np.isfinite(seen.rows[start][on]).all():
+            raise InvalidInput(
+                "a policy is evaluated once on a target, got targets where row "
+                f"{start} is known from {name!r}; its entries that are NaN are open"
+            )
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(
             f"a training is asked for once, got one that is done, under way or failed from "

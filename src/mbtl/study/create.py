@@ -45,7 +45,7 @@ class Evaluation:
     """Where policies are evaluated.
 
     Attributes:
-        targets: each policy on so many contexts, those it was trained on among them
+        targets: each policy on so many contexts, two or more, those it was trained on among them
             (`Pick.targets`); None: on all.
     """
 
@@ -123,6 +123,11 @@ def create_study(
         whole("seed", seed),
     )
     check_spec(spec)
+    if spec.eval_targets == 1 < spec.space.n:
+        raise InvalidInput(
+            f"policies are evaluated on 2 to {spec.space.n} targets, got 1; a policy at home says "
+            "nothing of elsewhere"
+        )
     if traits_of(chosen).one_axis:
         _ = spec.selection_problem().line  # refuses several
     address = None if storage is None else fixed_url(storage)

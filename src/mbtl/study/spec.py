@@ -84,7 +84,7 @@ class StudySpec:
         """
         return SelectionProblem.of(
             self.space,
-            budget=self.budget,
+            budget=self.budget if self.any_training else self._affordable,
             theta=self.theta,
             costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
             cost_budget=self.cost_budget,
@@ -93,6 +93,19 @@ class StudySpec:
             abilities=abilities if self.any_training else None,
             assumed=assumed,
         )
+
+    @property
+    def _affordable(self) -> int:
+        """Trainings that the budget pays for, as expected: what a selector spreads its picks by."""
+        budget, each = self.cost_budget, 0.0
+        if budget is not None and self.costs is not None:
+            each = float(np.mean(self.costs))
+        elif self.steps is not None:
+            budget, targets = self.steps, self.eval_targets or self.space.n
+            each = (self.unit or 0) + targets * (self.target_steps or 0)
+        if budget is None or each <= 0.0:
+            return self.budget
+        return min(self.budget, max(int(budget / each), 1))
 
     @property
     def in_units(self) -> bool:

@@ -25,7 +25,7 @@ from mbtl.contexts import Context
 from mbtl.episodes import checked_returns, completed
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 from mbtl.faults import FAULTS, reason_of
-from mbtl.plain import floats, short
+from mbtl.plain import floats, is_finite, short
 from mbtl.score import SCORE
 from mbtl.settings import described, described_code
 
@@ -192,7 +192,8 @@ def check_asked(
     """Refuse to train as it is asked for.
 
     Raises:
-        InvalidInput: there are no contexts, or not a list, or the trainer does not take this.
+        InvalidInput: there are no contexts, or not a list, the length is not above 0, or the
+            trainer does not take this.
     """
     if isinstance(contexts, Mapping):
         raise InvalidInput(
@@ -201,6 +202,8 @@ def check_asked(
         )
     if not contexts:
         raise InvalidInput("a training takes at least one context, got none")
+    if length is not None and not (is_finite(length) and length > 0.0):
+        raise InvalidInput(f"a training is longer than 0 units, got length={short(length)}")
     asked: dict[Ability, bool] = {
         "sets": len(contexts) > 1,
         "start": start is not None,

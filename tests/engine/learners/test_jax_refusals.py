@@ -18,6 +18,14 @@ PPO, DQN = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32), engine.DQNReci
 CARTPOLE, PENDULUM = worlds.Solo(CartPole()), worlds.Solo(Pendulum())
 SWINGING = worlds.stack_params(PENDULUM, [dict.fromkeys(PENDULUM.params._fields[:-1], 1.0)])
 ONE = params_of(CARTPOLE, [0.5])
+
+
+class Idle(CartPole):
+    """Somebody wrote it as of a box."""
+
+    idle = (0,)
+
+
 LOST = {"log_std": np.array([[0.0], [np.nan]])}
 
 
@@ -30,6 +38,14 @@ LOST = {"log_std": np.array([[0.0], [np.nan]])}
         (lambda: replace(PPO, batch_size=48), InvalidInput, "batch_size must divide"),
         (lambda: DQN(n_envs=64, buffer_size=600), InvalidInput, "n_envs x train_freq = 256, got"),
         (lambda: DQN(target_every=0), InvalidInput, "target_every must be >= 1, got 0"),
+        (lambda: DQN(n_envs=3), InvalidInput, "= 12, got 100000; the next is 100008"),
+        (lambda: DQN(n_envs=4.0), InvalidInput, "n_envs must be a whole number, got 4.0"),
+        (lambda: DQN(learning_starts=-1), InvalidInput, "learning_starts must be >= 0, got -1"),
+        (lambda: DQN(learning_rate="1e-3"), InvalidInput, "learning_rate must be a number >= 0"),
+        (lambda: replace(PPO, learning_rate=-1.0), InvalidInput, "number >= 0, got -1"),
+        (lambda: replace(PPO, gamma=float("nan")), InvalidInput, "gamma must be a number >= 0"),
+        (lambda: replace(PPO, hidden=(64, 0)), InvalidInput, r"hidden \(64, 0\) must be >= 1"),
+        (lambda: worlds.Solo(Idle()), InvalidInput, "idle of Idle is an action, a whole"),
         (lambda: EpisodicPPORecipe(rows=100, minibatches=40), InvalidInput, "rows = 100"),
         (lambda: engine.MultiTaskRecipe(method="pako"), UnknownName, "'paco'"),
         (lambda: engine.MultiTaskRecipe(method="moore", n_parts=0), InvalidInput, "n_parts must"),
@@ -42,6 +58,10 @@ LOST = {"log_std": np.array([[0.0], [np.nan]])}
 def test_recipes_and_learners_refuse(call, error, words):
     with pytest.raises(error, match=words):
         call()
+
+
+def test_layers_may_come_as_json_has_them():
+    assert replace(PPO, hidden=[8, 4]) == replace(PPO, hidden=(8, 4))
 
 
 @pytest.mark.parametrize(

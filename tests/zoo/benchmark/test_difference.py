@@ -60,6 +60,9 @@ def test_over_matrices_the_interval_knows_that_problems_differ():
     assert found.pooled.V_mean.value == found.over_matrices.V_mean.value == pytest.approx(0.05)
     assert found.pooled.V_mean.high - found.pooled.V_mean.low < 1e-9  # these problems, other seeds
     assert found.over_matrices.V_mean.low < 0.0 < found.over_matrices.V_mean.high
+    assert repr(found).count(" of 3") == 4  # no column is cut
+    assert "6 of 12" in repr(found)
+    assert "…" not in repr(found)
     two = compared(*(pair(seeds, [lead] * 3) for lead in (0.2, 0.0)))
     assert two.difference("a", "b").over_matrices.V_mean.low is None
 

@@ -108,6 +108,8 @@ class Growing(NamedTuple):
     def _learn(
         self, training: Training, until: int, pace: Pace, on_block: Callable[[Block], None] | None
     ) -> Training:
+        if until == 0:  # it begins at its end, from the policy that it had
+            return training
         n_contexts = self.params.visible.shape[1] if self.params.visible.ndim == 3 else 1
         unit = self.recipe.update_length
         return train(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Any, ClassVar, Literal, get_args
 
 from mbtl.errors import InvalidInput, check_known
+from mbtl.plain import short, whole
 
 Activation = Literal["tanh", "relu", "mish"]
 
@@ -16,6 +18,8 @@ _STEPS_PER_CALL = 256
 
 _FREE = ("learning_starts",)
 """Whole numbers of recipes that may be 0."""
+_SIGNED = ("log_std", "entropy_coef")
+"""Numbers of recipes that may be below 0."""
 
 
 def check_lengths(**counts: int) -> None:
@@ -37,7 +41,8 @@ class Learner:
         anneal: the learning rate falls linearly to 0 over a training of known length.
 
     Raises:
-        InvalidInput: a count is below 1, or numbers of a subclass do not fit together.
+        InvalidInput: a count is below 1, another number is none or below 0, or numbers of a
+            subclass do not fit together.
     """
 
     unit: ClassVar[str]
@@ -47,8 +52,18 @@ class Learner:
     anneal: bool = False
 
     def __post_init__(self) -> None:
-        counts = [one.name for one in fields(self) if one.type == "int" and one.name not in _FREE]
-        check_lengths(**{name: getattr(self, name) for name in counts})
+        if isinstance(self.hidden, list):  # as JSON has it; a recipe must be hashable
+            object.__setattr__(self, "hidden", tuple(self.hidden))
+        own = {one.name: (one.type, getattr(self, one.name)) for one in fields(self)}
+        counts = {name: whole(name, value) for name, (kind, value) in own.items() if kind == "int"}
+        counts |= {f"each of hidden {self.hidden}": whole("hidden", n) for n in self.hidden}
+        if any(counts.pop(name, 0) < 0 for name in _FREE):
+            raise InvalidInput(f"{_FREE[0]} must be >= 0, got {own[_FREE[0]][1]}")
+        check_lengths(**counts)
+        for name, (kind, value) in own.items():
+            least = -math.inf if name in _SIGNED else 0.0
+            if kind == "float" and not (isinstance(value, Real) and float(value) >= least):
+                raise InvalidInput(f"{name} must be a number >= {least:g}, got {short(value)}")
 
     @property
     def record(self) -> dict[str, object]:
@@ -200,8 +215,22 @@ class DQNRecipe(WithCopies):
         if self.buffer_size % self.steps_per_round:
             raise InvalidInput(
                 f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
-                f"got {self.buffer_size}"
+                f"got {self.buffer_size}; the next is {self._filled(self.steps_per_round)}"
             )
+
+    def _filled(self, rows: int) -> int:
+        """The least ring, no smaller than this one, that so many rows at a time fill."""
+        return math.ceil(self.buffer_size / rows) * rows
+
+    def spread(self, n_contexts: int) -> DQNRecipe:
+        """With a copy of the world per context, and as many gradient steps per step of a copy."""
+        more = 1 << max(math.ceil(math.log2(n_contexts / self.n_envs)), 0)
+        return replace(
+            self,
+            n_envs=more * self.n_envs,
+            gradient_steps=more * self.gradient_steps,
+            buffer_size=self._filled(more * self.steps_per_round),
+        )
 
     @property
     def steps_per_round(self) -> int:
@@ -349,14 +378,7 @@ def of_several(one: Any, world: Any, n_contexts: int) -> Any:
         if own_recipe(world) is not None:
             return one
     if isinstance(one, DQNRecipe):
-        more = 1 << max(math.ceil(math.log2(n_contexts / one.n_envs)), 0)
-        rows = more * one.steps_per_round  # which must fill the ring
-        one = replace(
-            one,
-            n_envs=more * one.n_envs,
-            gradient_steps=more * one.gradient_steps,
-            buffer_size=math.ceil(one.buffer_size / rows) * rows,
-        )
+        one = one.spread(n_contexts)
     if isinstance(one, A2CRecipe):
         one = replace(one, n_envs=max(one.n_envs, min(_A2C_COPIES, n_contexts)))
     return replace(one, hidden=tuple(_WIDER * width for width in one.hidden))

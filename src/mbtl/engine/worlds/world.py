@@ -198,6 +198,22 @@ class Solo:
     env: Environment
     agents: int = 1
 
+    def __post_init__(self) -> None:
+        """Refuse an action that is none, and is no action.
+
+        Raises:
+            InvalidInput: `idle` has another shape than an action.
+        """
+        if not self.drives:
+            return
+        action, idle = self.env.action, np.asarray(self.env.idle)  # type: ignore[attr-defined]
+        shape = () if isinstance(action, Discrete) else (len(action.low),)
+        if idle.shape != shape:
+            one = f"{len(action.low)} numbers" if isinstance(action, Box) else "a whole number"
+            raise InvalidInput(
+                f"idle of {type(self.env).__name__} is an action, {one}, got {idle.tolist()}"
+            )
+
     def __repr__(self) -> str:
         return repr(self.env)
 

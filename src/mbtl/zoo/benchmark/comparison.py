@@ -601,11 +601,11 @@ def difference_text(difference: Difference) -> str:
         rows["pooled, over their seeds"] = difference.pooled
         rows["pooled, over matrices"] = difference.over_matrices
     title = f"{difference.selector} less {difference.against}, on the same seeds"
-    return _text(lambda screen: screen.print(_lead_table(title, "matrix", rows)))
+    return _text(lambda screen: screen.print(_lead_table(title, "matrix", rows)), width=2 * WIDE)
 
 
-def _text(show: Callable[[Console], None]) -> str:
-    screen = Console(file=io.StringIO(), width=WIDE, color_system=None, force_jupyter=False)
+def _text(show: Callable[[Console], None], width: int = WIDE) -> str:
+    screen = Console(file=io.StringIO(), width=width, color_system=None, force_jupyter=False)
     show(screen)
     assert isinstance(screen.file, io.StringIO)
     return "\n".join(line.rstrip() for line in screen.file.getvalue().splitlines())

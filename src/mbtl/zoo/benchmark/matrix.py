@@ -482,7 +482,20 @@ class TransferMatrix:
             InvalidInput: the file cannot be read or breaks a rule; the message names file and rule.
         """
         file = Path(path)
-        arrays = read_npz(file, is_entry)
+        others = set[str]()
+
+        def wanted(name: str) -> bool:
+            others.add(name)
+            return is_entry(name)
+
+        arrays = read_npz(file, wanted)
+        meant = {name.rstrip("s"): name for name in _ENTRIES}
+        for other in sorted(others - arrays.keys()):
+            if (entry := meant.get(other.lower().rstrip("s"))) is not None:
+                raise InvalidInput(
+                    f"{file}: holds {other!r}, which is no entry of a matrix; write it {entry!r}, "
+                    "or rename what is your own"
+                )
         if "returns" not in arrays:
             kinds = "; trainings of every kind are read by mbtl.load_transfers(id, folder=...)"
             raise InvalidInput(
@@ -642,6 +655,11 @@ class TransferMatrix:
                 "selection and report used the same evaluation episodes, so V is too high where "
                 "episodes differ by luck (`fresh_returns`, or TransferMatrix.of_episodes, keeps "
                 "them apart)"
+            )
+        if self.sources is not None:
+            said.append(
+                f"trained on {len(self.sources)} of the {self.n} contexts; Independent is the mean "
+                "over those, so k* compares different contexts"
             )
         return "; ".join(said) or None
 
