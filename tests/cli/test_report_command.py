@@ -39,6 +39,7 @@ def test_studies_and_matrices_become_one_page(mbtl_command, tmp_path, stored):
         (["nothing-here"], "no study or matrix is called"),
         (["s", "-o", "page.txt"], "ends in .html"),
         (["pendulum-length", "--seed", "7"], "--seed must be from 0 to 2"),
+        (["pendulum-length", "--selector", "auto"], "a matrix holds specialists alone, and 'auto'"),
         (["pendulum-length", "--name", "s", "--budget", "1"], "--name is of a study, and no study"),
         (["s", "--name", "t"], "no study is called 't'. Known: s."),
     ],

@@ -164,12 +164,7 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
         raise InvalidInput(f"selectors must be a list of names, got the text {selectors!r}")
     entrants: dict[str, Selector | None] = {}
     for given in selectors:
-        selector = None if given == ORACLE else _selector(given)
-        if selector is not None and traits_of(selector).any_training:
-            raise InvalidInput(
-                f"a matrix holds specialists alone, and {selector.name!r} asks for trainings of "
-                "every kind; replay it on transfer data (docs/own-selector.md)"
-            )
+        selector = None if given == ORACLE else selector_of(given)
         name = ORACLE if selector is None else selector.name
         if name in entrants:
             raise InvalidInput(f"selectors must have distinct names, got {name!r} twice")
@@ -179,13 +174,25 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
     return entrants
 
 
-def _selector(given: str | Selector) -> Selector:
+def selector_of(given: str | Selector) -> Selector:
+    """A selector that a matrix can answer, by name or your own.
+
+    Raises:
+        InvalidInput: it asks for other trainings than specialists.
+        UnknownName: there is none of this name.
+    """
     try:
-        return get_strategy(given)
+        selector = get_strategy(given)
     except UnknownName:
         if ":" in str(given):  # of a user's own, whose names are not ours
             raise
         raise unknown_name("selector", str(given), [*selector_names(), ORACLE]) from None
+    if traits_of(selector).any_training:
+        raise InvalidInput(
+            f"a matrix holds specialists alone, and {selector.name!r} asks for trainings of every "
+            "kind; replay it on transfer data (docs/own-selector.md)"
+        )
+    return selector
 
 
 def _check_budget(sources: Mapping[str, RowSource], budget: int) -> None:

@@ -8,10 +8,9 @@ from mbtl.errors import InvalidInput
 from mbtl.report.reference import REFERENCE_NAMES, ReferenceCurves
 from mbtl.report.subject import Subject
 from mbtl.routing import Routing
-from mbtl.selectors import get_selector
 from mbtl.study import Study, Training
 from mbtl.zoo.benchmark.base import measured_curve
-from mbtl.zoo.benchmark.compare import compare
+from mbtl.zoo.benchmark.compare import compare, selector_of
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.oracle import reference, reference_levels
 from mbtl.zoo.benchmark.replay import replay
@@ -69,7 +68,7 @@ def of_matrix(
 ) -> Subject:
     """A selector replayed on a matrix seed, beside others and what the matrix allows."""
     problem = matrix.problem(min(budget, len(matrix.problem(1).sources)))
-    rule = get_selector(selector)
+    rule = selector_of(selector)
     played = replay(rule, problem, lambda i: matrix.rows(seed, [i])[0], trial=seed)
     history = played.history
     space = matrix.space
