@@ -193,7 +193,7 @@ def test_selectors_see_specialists_only():
         (Proposal(0, "x", length=0.0), r"has a start= and targets="),
         (
             Proposal(3, "x", start=0, length=0.0, sources=ALL, targets=(1, 2)),
-            r"evaluated once on a target, got targets where row 0 is known",
+            r"evaluated once on a target, got targets where row 0 is known, under way or failed",
         ),
         (Proposal(3, "x", start=0, length=0.5, sources=ALL), "goes on beyond the 1 units"),
         (Proposal(3, "x", start=0, length=9.0, sources=ALL), "got 8 units where 1 are spent"),
@@ -670,8 +670,9 @@ def test_what_is_under_way_counts_where_costs_are_only_told():
 
 @pytest.mark.parametrize("strategy", ["equidistant", "kmeans"])
 def test_selectors_spread_their_picks_by_what_the_budget_pays_for(strategy):
-    steps = mbtl.Steps(10_300, unit=1000, horizon=30)  # evaluated on eight targets, ten times each
-    budgets = (3, mbtl.Cost(6.0, np.full(N, 2.0)), steps)
+    # evaluated on eight targets, ten times each, the last one on two; one context is out of reach
+    steps = mbtl.Steps(2 * (1000 + 8 * 300) + 1000 + 2 * 300, unit=1000, horizon=30)
+    budgets = (3, mbtl.Cost(6.0, [*np.full(N - 1, 2.0), 20.0]), steps)
     picked = [
         [pick.source for pick in mbtl.create_study(SPACE, budget=one, strategy=strategy).ask(2)]
         for one in budgets

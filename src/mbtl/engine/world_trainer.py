@@ -361,13 +361,17 @@ class WorldTrainer:
         training = file.load(fresh)
         if training is None or file.notes.get(_SEED) != seed:  # nobody's, or the parent's
             begun = fresh()
-            training, before = file.inherited(begun) or (begun, 0)
+            found = file.inherited(begun, best=self.checkpoint == "best")
+            training, before = found or (begun, 0)
             before += file.notes.get(_BEFORE, 0)
             before = _as_own(before, file.notes.get(_WHOLE, growing.whole), growing.whole)
             spent = self._updates(done, unit)
-            before += engine.stage(spent)[0]  # its state is lost; schedules go on
+            on_trunk = 0 if found else engine.stage(spent)[0]  # its state is lost; schedules go on
+            if by_steps and self.algorithm == "DQN":  # its ring is empty, and filled by updates
+                before, on_trunk = before + on_trunk, 0
+            training = training._replace(updates=training.updates + on_trunk)
             own = {_BEFORE: before, _WHOLE: growing.whole}
-            file.notes = {_SPENT: spent, _FROM: 0, _SEED: seed, **own}
+            file.notes = {_SPENT: spent, _FROM: int(training.updates), _SEED: seed, **own}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
         growing = growing._replace(before=file.notes[_BEFORE])
         planned = max(self._updates(length, unit), spent)

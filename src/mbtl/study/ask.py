@@ -19,8 +19,8 @@ from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.records import StudyFinished, StudyWaiting
-from mbtl.study.spec import StudySpec
-from mbtl.study.state import LEAST_TARGETS, StudyState
+from mbtl.study.spec import LEAST_TARGETS, StudySpec
+from mbtl.study.state import StudyState
 from mbtl.trainers.contract import DEEDS, Ability, checked_targets
 
 LEAST_ROWS = 3
@@ -268,7 +268,8 @@ def _check_proposal(state: StudyState, seen: History, strategy: Selector, propos
 def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
     """Whether the trainer can do what is asked, and it is new and can be paid."""
     spec, seen, start, length = state.spec, state.history(), proposal.start, proposal.length
-    pick = state.planned(_facts(state, proposal))
+    facts = _facts(state, proposal)
+    pick = state.planned(facts)
     asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,
         "start": start is not None and length != 0.0,
@@ -282,10 +283,11 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
             )
     if length == 0.0 and start is not None:
         on = list(range(seen.n_targets) if pick.targets is None else pick.targets)
-        if np.isfinite(seen.rows[start][on]).all():
+        if np.isfinite(seen.rows[start][on]).all() or not is_open(state, facts):
             raise InvalidInput(
                 "a policy is evaluated once on a target, got targets where row "
-                f"{start} is known from {name!r}; its entries that are NaN are open"
+                f"{start} is known, under way or failed from {name!r}; its entries that are NaN "
+                "are open"
             )
     if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(

@@ -15,6 +15,9 @@ from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import counted
 
+LEAST_TARGETS = 2
+"""On which a policy is still evaluated with the last steps."""
+
 
 @dataclass(frozen=True)
 class StudySpec:
@@ -96,16 +99,20 @@ class StudySpec:
 
     @property
     def _affordable(self) -> int:
-        """Trainings that the budget pays for, as expected: what a selector spreads its picks by."""
-        budget, each = self.cost_budget, 0.0
-        if budget is not None and self.costs is not None:
-            each = float(np.mean(self.costs))
-        elif self.steps is not None:
+        """Trainings that the budget pays for, as expected: what a selector spreads its picks by.
+
+        Where steps are counted, the last one is evaluated on few targets if need be.
+        """
+        if self.cost_budget is not None and self.costs is not None:
+            budget, costs = self.cost_budget, np.array(self.costs)
+            each = last = float(costs[costs <= max(budget, costs.min())].mean())
+        elif self.steps is not None and self.unit and self.target_steps is not None:
             budget, targets = self.steps, self.eval_targets or self.space.n
-            each = (self.unit or 0) + targets * (self.target_steps or 0)
-        if budget is None or each <= 0.0:
+            each = self.unit + targets * self.target_steps
+            last = self.unit + min(LEAST_TARGETS, targets) * self.target_steps
+        else:
             return self.budget
-        return min(self.budget, max(int(budget / each), 1))
+        return min(self.budget, max(1 + int((budget - last) / each), 1))
 
     @property
     def in_units(self) -> bool:

@@ -22,12 +22,10 @@ from mbtl.study.budget import Bill, counted
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
 from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, ToldRow
-from mbtl.study.spec import StudySpec
+from mbtl.study.spec import LEAST_TARGETS, StudySpec
 
 ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""
-LEAST_TARGETS = 2
-"""On which a policy is still evaluated with the last steps."""
 
 
 @dataclass(eq=False)

@@ -44,7 +44,8 @@ LOST = {"log_std": np.array([[0.0], [np.nan]])}
         (lambda: DQN(learning_rate="1e-3"), InvalidInput, "learning_rate must be a number >= 0"),
         (lambda: replace(PPO, learning_rate=-1.0), InvalidInput, "number >= 0, got -1"),
         (lambda: replace(PPO, gamma=float("nan")), InvalidInput, "gamma must be a number >= 0"),
-        (lambda: replace(PPO, hidden=(64, 0)), InvalidInput, r"hidden \(64, 0\) must be >= 1"),
+        (lambda: replace(PPO, hidden=(0, 64)), InvalidInput, "hidden must be >= 1, got 0"),
+        (lambda: replace(PPO, hidden=None), InvalidInput, "hidden must be a whole number"),
         (lambda: worlds.Solo(Idle()), InvalidInput, "idle of Idle is an action, a whole"),
         (lambda: EpisodicPPORecipe(rows=100, minibatches=40), InvalidInput, "rows = 100"),
         (lambda: engine.MultiTaskRecipe(method="pako"), UnknownName, "'paco'"),
@@ -62,6 +63,7 @@ def test_recipes_and_learners_refuse(call, error, words):
 
 def test_layers_may_come_as_json_has_them():
     assert replace(PPO, hidden=[8, 4]) == replace(PPO, hidden=(8, 4))
+    assert replace(PPO, hidden=np.array([8, 4])).hidden == (8, 4)
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def test_copies_begin_from_the_best_of_evaluations_where_those_were_kept(tmp_pat
     begun = engine.taking_over(growing.start(), trunk, [0]).state
     assert_same((begun.weights.actor, begun.target), (best, best))
     assert not same(best, latest)
-    saved = engine.SavedTraining(file).inherited(growing.start())[0].state
+    saved = engine.SavedTraining(file).inherited(growing.start(), best=True)[0].state
     assert_same(saved.weights.actor, best)
     given = {"start": parent, "length": unit}
     copy = other.train(CONTEXTS[:1], 5, state=file, **given).policy
@@ -172,6 +172,21 @@ def test_a_training_whose_state_is_lost_goes_on_with_an_empty_ring_at_its_rate(m
     other.train(CONTEXTS, 3, start=policy, done=5 * unit, length=10 * unit)
     # four updates on the trunk and one on a branch, as often as it went on
     assert begun == [(0, 0, 4), (4, 0, 4)]
+    begun.clear()
+    TRAINER.train(CONTEXTS, 3, start=to(5).policy, done=5 * UNIT / TRAINER.whole, length=1.0)
+    assert begun == [(0, 0, 4), (0, 4, 8)]  # else the contexts would begin anew
+
+
+def test_a_copy_begins_from_the_policy_that_its_parent_was(tmp_path):
+    for checkpoint in ("best", "final"):
+        parent = replace(TRAINER, checkpoint=checkpoint, checkpoint_every=UNIT)
+        file = tmp_path / f"{checkpoint}.npz"
+        policy = parent.train(CONTEXTS[:1], 3, state=file).policy
+        growing = parent._growing([CONTEXTS[1:2]], [5])
+        begun, _ = engine.SavedTraining(file).inherited(
+            growing.start(), best=parent.checkpoint == "best"
+        )
+        assert same_policy(growing.policies(begun.state.weights)[0], policy)
 
 
 def test_dqn_has_a_copy_per_context_whose_steps_fill_the_ring_and_a2c_sixteen():

@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any, ClassVar, Literal, get_args
 
+import numpy as np
+
 from mbtl.errors import InvalidInput, check_known
 from mbtl.plain import short, whole
 
@@ -52,18 +54,19 @@ class Learner:
     anneal: bool = False
 
     def __post_init__(self) -> None:
-        if isinstance(self.hidden, list):  # as JSON has it; a recipe must be hashable
-            object.__setattr__(self, "hidden", tuple(self.hidden))
-        own = {one.name: (one.type, getattr(self, one.name)) for one in fields(self)}
-        counts = {name: whole(name, value) for name, (kind, value) in own.items() if kind == "int"}
-        counts |= {f"each of hidden {self.hidden}": whole("hidden", n) for n in self.hidden}
-        if any(counts.pop(name, 0) < 0 for name in _FREE):
-            raise InvalidInput(f"{_FREE[0]} must be >= 0, got {own[_FREE[0]][1]}")
-        check_lengths(**counts)
-        for name, (kind, value) in own.items():
-            least = -math.inf if name in _SIGNED else 0.0
-            if kind == "float" and not (isinstance(value, Real) and float(value) >= least):
-                raise InvalidInput(f"{name} must be a number >= {least:g}, got {short(value)}")
+        hidden = np.ravel(self.hidden).tolist()  # JSON has a list; a recipe must be hashable
+        object.__setattr__(self, "hidden", tuple(whole("hidden", width) for width in hidden))
+        check_lengths(hidden=min(self.hidden, default=1))
+        for one in fields(self):
+            name, value = one.name, getattr(self, one.name)
+            if one.type == "int":
+                least = 0 if name in _FREE else 1
+                if whole(name, value) < least:
+                    raise InvalidInput(f"{name} must be >= {least}, got {value}")
+            elif one.type == "float":
+                lowest = -math.inf if name in _SIGNED else 0.0
+                if not (isinstance(value, Real) and float(value) >= lowest):
+                    raise InvalidInput(f"{name} must be a number >= {lowest:g}, got {short(value)}")
 
     @property
     def record(self) -> dict[str, object]:

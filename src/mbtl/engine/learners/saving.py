@@ -53,17 +53,17 @@ class SavedTraining:
             np.savez(file, **to_arrays(training), **notes)  # type: ignore[arg-type]
         self._at = time.monotonic()
 
-    def inherited(self, begun: Training) -> tuple[Training, int] | None:
+    def inherited(self, begun: Training, *, best: bool) -> tuple[Training, int] | None:
         """`begun`, a training before its first update, with what another one here had learnt.
 
         With it the updates that the other one had done; its notes are found. None where there is
-        nothing that fits.
+        nothing that fits. `best`: its policy was the best of its evaluations, if it had any.
         """
 
         def inheriting(arrays: dict[str, NDArray[Any]]) -> tuple[Training, int]:
             fields = _taken(begun.state)
             given = {n: from_arrays(own, arrays, f".state.{n}") for n, own in fields.items()}
-            if np.isfinite(from_arrays(begun.best_return, arrays, ".best_return")).all():
+            if best and np.isfinite(from_arrays(begun.best_return, arrays, ".best_return")).all():
                 given["weights"] = from_arrays(begun.best, arrays, ".best")
             return _begun_with(begun, given), int(arrays[".updates"])
 

@@ -208,7 +208,8 @@ class Solo:
             return
         action, idle = self.env.action, np.asarray(self.env.idle)  # type: ignore[attr-defined]
         shape = () if isinstance(action, Discrete) else (len(action.low),)
-        if idle.shape != shape:
+        whole = isinstance(action, Box) or idle.dtype.kind in "iu"
+        if idle.shape != shape or not whole:
             one = f"{len(action.low)} numbers" if isinstance(action, Box) else "a whole number"
             raise InvalidInput(
                 f"idle of {type(self.env).__name__} is an action, {one}, got {idle.tolist()}"
