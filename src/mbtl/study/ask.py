@@ -289,7 +289,7 @@ def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
                 f"{start} is known, under way or failed from {name!r}; its entries that are NaN "
                 "are open"
             )
-    if length != 0.0 and state.training_of(pick) in seen.asked:
+    elif not is_open(state, facts):
         raise InvalidInput(
             f"a training is asked for once, got one that is done, under way or failed from "
             f"{name!r}: {proposal}; `history.asked` has them"

@@ -123,7 +123,7 @@ def create_study(
         whole("seed", seed),
     )
     check_spec(spec)
-    if spec.eval_targets == 1 < spec.space.n:
+    if spec.eval_targets == 1 < spec.space.n:  # older studies may have it, and go on
         raise InvalidInput(
             f"policies are evaluated on 2 to {spec.space.n} targets, got 1; a policy at home says "
             "nothing of elsewhere"

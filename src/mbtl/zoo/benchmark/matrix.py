@@ -644,6 +644,11 @@ class TransferMatrix:
     def caveat(self) -> str | None:
         """What must be said beside every number of it; None where there is nothing to say."""
         said = []
+        if self.sources is not None:
+            said.append(
+                f"trained on {len(self.sources)} of the {self.n} contexts; Independent is the mean "
+                "over those, so k* compares different contexts"
+            )
         record = self.records[0] if self.records else {}
         if dict(record.get("switches") or {}).get("score") == "paper":
             said.append(
@@ -655,11 +660,6 @@ class TransferMatrix:
                 "selection and report used the same evaluation episodes, so V is too high where "
                 "episodes differ by luck (`fresh_returns`, or TransferMatrix.of_episodes, keeps "
                 "them apart)"
-            )
-        if self.sources is not None:
-            said.append(
-                f"trained on {len(self.sources)} of the {self.n} contexts; Independent is the mean "
-                "over those, so k* compares different contexts"
             )
         return "; ".join(said) or None
 

@@ -193,18 +193,13 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     """The same for people."""
     if not facts:
         return []
-    lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
+    lines = [_sentence(facts["scale"])]
     if facts["paper_bounds"] is not None:
         low, high = facts["paper_bounds"]
         seen = "{:.0f} to {:.0f}".format(*facts["seen"])
         lines.append(
             f"In the paper 0 is {low:g} and 1 is {high:g}; returns here are {seen}. Scale by "
             f"either with --bounds {low:g},{high:g} or --bounds seen."
-        )
-    if facts["sources"] < facts["targets"]:
-        lines.append(
-            f"Trained on {facts['sources']} of the {facts['targets']} contexts; Independent is the "
-            "mean over those."
         )
     if facts["nominal_policy"] is not None:
         values = ", ".join(f"{name} {value:g}" for name, value in facts["nominal_policy"].items())
@@ -219,5 +214,9 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     if facts["evaluation_seeds"] is not None:
         lines.append(f"Evaluation seeds are {facts['evaluation_seeds']}.")
     if facts["caveat"] is not None:
-        lines.append(f"Note: {facts['caveat']}.")
+        lines.append(_sentence(facts["caveat"]))
     return lines
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
