@@ -4,7 +4,7 @@
 
 Of the shipped matrices, with all their seeds, on episodes that chose nothing. Random is its exact
 expectation. Independent is the mean over the contexts that were trained on, each with its own
-policy. One policy for all contexts is of `mbtl matrix multitask`.
+policy. One policy for all contexts is of `mbtl matrix multitask`, with its units of transfer data.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from mbtl.report import REFERENCE_NAMES as NAMES
 from mbtl.zoo.benchmark import compare, load_matrix
 from mbtl.zoo.benchmark.multitask import load_multitask
+from mbtl.zoo.benchmark.transfers import load_transfers
 
 SHIPPED = (
     "walker-gravity", "walker-friction", "walker-scale",
@@ -24,6 +25,8 @@ SELECTORS = {
     "random": "Random", "greedy": "Greedy", "mbtl": "MBTL", "specialists": "specialists",
     "oracle": "Sequential Oracle",
 }  # fmt: skip
+
+UNITS = (1.0, 4.0, 15.0)
 
 
 def returns(id: str, budgets: Sequence[int]) -> dict[str, float]:
@@ -39,9 +42,13 @@ def returns(id: str, budgets: Sequence[int]) -> dict[str, float]:
             assert value is not None
             found[f"{head}, K = {k}"] = value
     found["Oracle Transfer"] = some.oracle_transfer
-    for name, one in load_multitask(id).items():
-        head = " ".join(["one policy for all", *name.split("-")[1:]])
-        found[head] = float(matrix.bounds.normalise(one.returns).mean())
+    for one in load_multitask(id).values():
+        found["one policy for all"] = float(matrix.bounds.normalise(one.returns).mean())
+    for units, rows in load_transfers(id).generalists.items():
+        if units in UNITS:
+            found[f"as in `auto`, {units:g} units"] = float(
+                matrix.bounds.normalise(rows[:, 1]).mean()
+            )
     return {head: float(matrix.bounds.denormalise(value)) for head, value in found.items()}
 
 

@@ -26,7 +26,7 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     said = mbtl_command(*command)[2]
     assert "there already" in said
     assert "; evaluation seeds per target" in said
-    mbtl_command.refusal("matrix", "multitask", "cartpole-length", "--factor", 0)
+    mbtl_command.refusal("matrix", "multitask", "cartpole-length", "--seeds", 0)
 
 
 @pytest.mark.long
@@ -56,14 +56,14 @@ def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_pa
 @pytest.mark.long
 def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command, tmp_path):
     command = (
-        "matrix", "multitask", "ring-vel", "--preset", "quick", "--episodes", 2, "--factor", 2,
+        "matrix", "multitask", "ring-vel", "--preset", "quick", "--episodes", 2,
         "--eval-episodes", 1, "--seeds", 1,
     )  # fmt: skip
     mbtl_command.done(*command)
-    (file,) = (tmp_path / "matrices/multitask").glob("ring-vel-trpo-x2-seed0.npz")
+    (file,) = (tmp_path / "matrices/multitask").glob("ring-vel-trpo-seed0.npz")
     (first,) = load_multitask("ring-vel", folder=file.parent).values()
     recipe = first.provenance[0]["recipe"]
-    assert (recipe["episodes"], recipe["hyperparameters"]["n_episodes"]) == (4, 2)
+    assert recipe["episodes"] == 2
     assert recipe["contexts"] == "uniform, one per episode; by TRPO four, or all, in an update"
     assert "there already" in mbtl_command(*command, "--engine", "jax")[2]
     other = mbtl_command(*command, "--engine", "sumo")[2]

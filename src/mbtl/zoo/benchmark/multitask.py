@@ -1,8 +1,9 @@
 """Multi-task baselines: one policy trained on all contexts, its return on each.
 
 A file is called `<cmdp>-<method>-seed<k>.npz` and holds one seed: `returns` and `std` over episodes
-(N,), and its provenance. Methods: "ppo" (context-conditioned PPO), "ppo-x10" (with ten times the
-steps), "paco", "moore", and the algorithm of any trainer that takes several contexts.
+(N,), and its provenance. Methods: "ppo" (context-conditioned PPO), "paco", "moore", and the
+algorithm of any trainer that takes several contexts. Each is trained as long as one source, which
+is known beforehand, as in the paper; trainings that go on are transfer data (`transfers`).
 
 A baseline grows in a folder; interrupted at any time it goes on there. Its evaluation plays the
 episodes of the transfer matrix of the same seed, and its training has the seed of the source after

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -53,13 +52,6 @@ def multitask(
             "algorithm of the CMDP."
         ),
     ] = None,
-    factor: Annotated[
-        int,
-        typer.Option(
-            help="Length of the training, as a multiple of one source's; in a twin, episodes of "
-            "each of as many updates."
-        ),
-    ] = 1,
     seeds: Annotated[int, typer.Option(help="Number of policies, one per seed.")] = 3,
     first_seed: FirstSeed = 0,
     preset: Preset = None,
@@ -79,18 +71,17 @@ def multitask(
 
     Example: mbtl matrix multitask cartpole-length --method paco --seeds 3
     """
-    for name, number in (("seeds", seeds), ("factor", factor)):
-        if number < 1:
-            raise InvalidInput(f"--{name} must be >= 1, got {number}")
+    if seeds < 1:
+        raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
     usual = visibility_on_all(cmdp_id)
     other = None if visibility in (None, usual) else visibility
     cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine, score=score)
     own = {"timesteps": timesteps, "episodes": episodes, "eval_episodes": eval_episodes}
     given = {name: value for name, value in own.items() if value is not None}
-    job = _job(cmdp, method, factor, cmdp.trainer_for(preset or preset_on_all(cmdp_id), **given))
+    job = _job(cmdp, method, cmdp.trainer_for(preset or preset_on_all(cmdp_id), **given))
     free = ("seeds", "first_seed", "out", "work", "as_json")
     command = f"{repeated(context, free)} --seeds 1 --first-seed"
-    name = "-".join(filter(None, (job.method, other, score, f"x{factor}" if factor > 1 else None)))
+    name = "-".join(filter(None, (job.method, other, score)))
     files = {
         seed: multitask_file(out, cmdp.id, name, seed)
         for seed in range(first_seed, first_seed + seeds)
@@ -111,24 +102,18 @@ def multitask(
         print_json({"baselines": results})
 
 
-def _job(cmdp: CMDP, method: str | None, factor: int, one: Trainer) -> InJax | InSimulator:
-    """The baseline whose training is `factor` times that of one source."""
+def _job(cmdp: CMDP, method: str | None, one: Trainer) -> InJax | InSimulator:
+    """The baseline whose training is as long as that of one source."""
     assert isinstance(one, SB3Trainer | WorldTrainer)
-    unit = "timesteps" if one.episodes is None else "episodes"
-    length = int(getattr(one, unit)) * factor
-    if isinstance(one, WorldTrainer) and unit == "timesteps":
+    if isinstance(one, WorldTrainer) and one.episodes is None:
         known: tuple[Method, ...] = get_args(Method)
         if method is not None and method not in known:
             raise unknown_name("method", method, known)
-        return InJax(one, cmdp.space.contexts, method or "ppo", length)
+        return InJax(one, cmdp.space.contexts, method or "ppo", one.length)
     own = str(one.algorithm).lower()
     if method not in (None, own):
         raise unknown_name(f"method for {cmdp.id!r}", str(method), [own])
-    changes: dict[str, Any] = {unit: length}
-    if isinstance(one, WorldTrainer):  # as many updates as one source has, each of more episodes
-        each = factor * one.hyperparameters.get("n_episodes", 1)
-        changes["hyperparameters"] = {**one.hyperparameters, "n_episodes": each}
-    return InSimulator(replace(one, **changes), cmdp.space.contexts, _problem(cmdp))
+    return InSimulator(one, cmdp.space.contexts, _problem(cmdp))
 
 
 def _problem(cmdp: CMDP) -> dict[str, Any]:

@@ -9,22 +9,23 @@ import numpy as np
 from mbtl.plot.style import new_figure
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.item import Item, Measured, Numbers, Table, absent
-from mbtl.zoo.reproduction.paper import Value
+from mbtl.zoo.reproduction.paper import HEADS, Value
 
-_RIVALS = {"ppo": "Multi-task PPO", "paco": "PaCo", "moore": "MOORE", "ppo-x10": "PPO, 10 x steps"}
+_RIVALS = {"ppo": "Multi-task PPO", "paco": "PaCo", "moore": "MOORE"}
 
 
 def compute(bench: Bench) -> Numbers:
     """Per CMDP V of each, beside Independent and MBTL."""
     rows, missing = [], absent(bench, "cartpole")
     for id, case in bench.cases("cartpole").items():
-        values = {"independent": case.values["independent"], "mbtl": case.values["mbtl"]}
+        own = ("independent", "one_policy", "mbtl")
+        values = {name: case.values[name] for name in own if name in case.values}
         values |= {name: Value.of(v) for name, v in case.multitask.items() if name in _RIVALS}
         rows.append({"cmdp": id, "values": {n: v.to_json() for n, v in values.items()}})
         missing += [
             f"{_RIVALS[name]} on {id}: no returns yet; make them with: mbtl matrix multitask {id} "
             f"--method {name}"
-            for name in ("ppo", "paco", "moore")
+            for name in _RIVALS
             if name not in case.multitask
         ]
     return {"rows": rows, "missing": missing}
@@ -32,8 +33,8 @@ def compute(bench: Bench) -> Numbers:
 
 def tables(numbers: Numbers) -> dict[str, Table]:
     """V per method."""
-    names = ["independent", *_RIVALS, "mbtl"]
-    heads = {"independent": "Independent", "mbtl": "MBTL", **_RIVALS}
+    names = ["independent", *_RIVALS, "one_policy", "mbtl"]
+    heads = {**HEADS, **_RIVALS}
     rows = tuple(
         (row["cmdp"], *(Measured.of(row["values"].get(n)) for n in names))
         for row in numbers["rows"]
@@ -43,7 +44,7 @@ def tables(numbers: Numbers) -> dict[str, Table]:
             "One policy for all contexts: V, mean (standard deviation) over seeds.",
             ("CMDP", *(heads[n] for n in names)),
             rows,
-            ("The multi-task methods have the steps of one source, MBTL those of K.",),
+            ("The first three multi-task methods have the steps of one source, MBTL those of K.",),
         )
     }  # fmt: skip
 
@@ -53,8 +54,7 @@ def figures(numbers: Numbers) -> dict[str, Any]:
     rows = numbers["rows"]
     if not rows:
         return {}
-    names = {"independent": "Independent", **{k: _RIVALS[k] for k in ("ppo", "paco", "moore")},
-             "mbtl": "MBTL"}  # fmt: skip
+    names = {"independent": "Independent", **_RIVALS, "mbtl": "MBTL"}
     figure = new_figure(5.2, 2.4)
     ax = figure.subplots()
     for i, (name, label) in enumerate(names.items()):
