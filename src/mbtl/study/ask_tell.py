@@ -838,7 +838,7 @@ class AskTell:
             record.start,
             record.done,
             None if record.whole else record.length,
-            record.tokens[-1] if record.tokens else "",
+            record.tokens[-1] if record.leases else "",
         )
 
     def _commit(self, decide: Callable[[StudyState], Decided]) -> Decided:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill, counted
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
-from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, ToldRow
+from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, Plan, ToldRow
 from mbtl.study.spec import LEAST_TARGETS, StudySpec
 
 ABILITIES = ("sets", "start", "length")
@@ -132,7 +132,7 @@ class StudyState:
             self._performance = self.bounds().normalise(returns)
             self._performance.setflags(write=False)  # there may be gigabytes of it
             self._errors = self._episodes().errors if self.rows else None
-        trainings = [self._made(row) for row in self.rows]
+        trainings = [self.training_of(row) for row in self.rows]
         busy = self.open_picks.values()
         dead = [self.picks[failure.pick] for failure in self.failures]
         usual = all(one.is_specialist for one in trainings)
@@ -150,14 +150,10 @@ class StudyState:
             self.spec.budget - self.units_left,
         )
 
-    def _made(self, row: ToldRow) -> Training:
-        start = None if row.start is None else self.place_of(row.start)
-        return Training(row.sources, start, row.length, row.done > 0.0)
-
-    def training_of(self, pick: PickRecord) -> Training:
-        """A pick as a strategy sees it."""
-        start = None if pick.start is None else self.place_of(pick.start)
-        return Training(pick.sources, start, pick.length, pick.done > 0.0)
+    def training_of(self, one: Plan) -> Training:
+        """A pick or a row as a strategy sees it."""
+        start = None if one.start is None else self.place_of(one.start)
+        return Training(one.sources, start, one.length, one.done > 0.0)
 
     def _episodes(self) -> Episodes:
         return Episodes([row.each for row in self.rows], self.bounds())
@@ -217,7 +213,7 @@ class StudyState:
         spec = self.spec
         if spec.cost_budget is None:
             return np.inf
-        told = [row.cost / (row.length - row.done) for row in self.rows if row.pick is not None]
+        told = [row.cost / row.price for row in self.rows if row.pick is not None]
         each = float(np.mean(spec.costs or told or 0.0))
         if each == 0.0:  # nothing is known of it
             return float(spec.space.n)
@@ -318,7 +314,7 @@ class StudyState:
 
     def units(self) -> Array:
         """(k,) units of training of each row and all before it; those told unasked count, too."""
-        return np.cumsum([row.length - row.done for row in self.rows])
+        return np.cumsum([row.price for row in self.rows])
 
     def spent_words(self, *, answered: bool = False) -> str:
         """How much of the budget is asked for, or done: "3 of 15 trainings", "cost 2.5 of 60"."""
@@ -394,18 +390,17 @@ class StudyState:
         goes_on = parent is not None and parent.sources == sources and length != 0.0
         done = parent.length if parent is not None and goes_on else 0.0
         return PickRecord(
-            facts.get("pick", len(self.picks)),
-            middle_of(sources, self.spec.space.steps),
-            facts["reason"],
-            facts["acquisition"],
-            tuple(facts["notes"]),
-            None,
-            time,
-            None if facts.get("targets") is None else tuple(facts["targets"]),
+            source=middle_of(sources, self.spec.space.steps),
             sources=sources,
             start=start,
             done=done,
             length=done + 1.0 if length is None else float(length),
+            number=facts.get("pick", len(self.picks)),
+            reason=facts["reason"],
+            acquisition=facts["acquisition"],
+            notes=tuple(facts["notes"]),
+            asked_at=time,
+            targets=None if facts.get("targets") is None else tuple(facts["targets"]),
             whole=length is None and start is None,
         )
 
@@ -440,17 +435,9 @@ class StudyState:
         if pick is None:
             facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
             pick = self.planned({**facts, "notes": ()})
-        row = ToldRow(
-            source=pick.source,
-            each=each,
-            told_at=event.time,
-            event=event.seq,
-            sources=pick.sources,
-            start=pick.start,
-            done=pick.done,
-            length=pick.length,
-            **{name: data.get(name) for name in LOGGED},  # type: ignore[arg-type]
-        )
+        facts = {one.name: getattr(pick, one.name) for one in fields(Plan)}
+        facts |= {name: data.get(name) for name in LOGGED}
+        row = ToldRow(each=each, told_at=event.time, event=event.seq, **facts)
         self.rows.append(row)
         self._told_by[event.seq] = row
 

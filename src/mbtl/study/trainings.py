@@ -93,7 +93,7 @@ def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
             pick.source,
             state.spec.space.context(pick.source),
             _condition(state, watch, pick, failures.get(pick.number)),
-            worker=pick.last_worker,
+            worker=pick.leases[-1].worker if pick.leases else None,
             seed=state.seed_of(pick),
             reason=pick.reason,
             steps=None if trouble is None else trouble.steps,
