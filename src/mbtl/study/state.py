@@ -69,6 +69,10 @@ class StudyState:
         self._history = None
         self.seq = event.seq
 
+    def is_proposed_with(self, token: str) -> bool:
+        """Whether who has this token finds the source of the next pick."""
+        return self.proposing is not None and self.proposing.token == token
+
     def copied(self) -> StudyState:
         """As it is now, and stays whatever is told meanwhile."""
         self.history()
