@@ -34,8 +34,8 @@ def is_finite(number: Any, most: float = LARGEST) -> bool:
     return value is not None and abs(value) <= most
 
 
-def whole(name: str, number: Any) -> int:
-    """A whole number, as Python's own.
+def whole(name: str, number: Any, least: float = -np.inf) -> int:
+    """A whole number of `least` or more, as Python's own.
 
     Raises:
         InvalidInput: it is none.
@@ -43,9 +43,12 @@ def whole(name: str, number: Any) -> int:
     try:
         if isinstance(number, (np.ndarray, bool)):
             raise TypeError
-        return operator.index(number)
+        value = operator.index(number)
     except TypeError:
         raise InvalidInput(f"{name} must be a whole number, got {short(number)}") from None
+    if value < least:
+        raise InvalidInput(f"{name} is {least} or more, got {short(value)}")
+    return value
 
 
 @overload

@@ -138,11 +138,9 @@ class AskTell:
     def refresh(self) -> StudyState:
         """Apply what other processes appended, and return the state."""
         for event in self.log.read(self._state.seq):
-            gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
             advance(self._state, event)
-            if gone is not None:  # policies are kept by the place of their row
-                kept = {i: p for i, p in self.policies.items() if i != gone}
-                self.policies = {i - (i > gone): policy for i, policy in kept.items()}
+            if event.kind == "voided":
+                self.policies.pop(event.data["told"], None)
         if not self._state.seq:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
@@ -294,7 +292,9 @@ class AskTell:
             policy_folders=folders,
             policy_format=policy_format,
             load=trainer.load if trainer is not None else None,
-            in_memory=dict(self.policies),
+            in_memory={
+                i: self.policies[r.event] for i, r in enumerate(rows) if r.event in self.policies
+            },
             sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
             cmdp=spec.problem or None,
             metadata={"study": self.name, **made},
@@ -383,8 +383,6 @@ class AskTell:
         Raises:
             StudyError: it is not open, or somebody took it over.
         """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
 
     # ---- telling ------------------------------------------------------------------------------
@@ -464,11 +462,11 @@ class AskTell:
             "state_sha256": None if training_state is None else training_state.sha256,
             "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
         }
-        row = 0
+        event = 0
 
         def told(state: StudyState) -> dict[str, Any]:
-            nonlocal row
-            row = len(state.rows)
+            nonlocal event
+            event = state.seq + 1
             number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
@@ -480,7 +478,7 @@ class AskTell:
         with self._lock:  # so that no other thread takes a row away meanwhile
             in_time = self._answer("told", pick, data, told, arrays)
             if policy_object is not None and in_time:
-                self.policies[row] = policy_object
+                self.policies[event] = policy_object
         return in_time
 
     def evaluation_seeds(
@@ -575,8 +573,6 @@ class AskTell:
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
         event = self._commit(lambda state: tell.reopening(state, pick))
         self.untold.pop(event.data["pick"], None)
 

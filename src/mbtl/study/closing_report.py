@@ -10,7 +10,7 @@ Notation (shapes): k policies in training order, N contexts, n of them played, E
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,7 +135,7 @@ def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
 
 def plan_to_do(
     state: StudyState,
-    in_memory: Iterable[int],
+    in_memory: Container[int],
     *,
     whole: bool = False,
     baselines: Collection[str] = (),
@@ -147,7 +147,7 @@ def plan_to_do(
 
     Args:
         state: of the study.
-        in_memory: places of the policies that are there, though not saved.
+        in_memory: numbers of the events that told policies that are there, though not saved.
         whole: as of `plan_of`.
         baselines: names of what is to be played beside them; the plan does not count them yet.
         metrics: names of what is to be measured.
@@ -161,8 +161,8 @@ def plan_to_do(
         seen[list(fresh.lost)] = True
         if not whole or seen[plan.contexts].all():
             return None
-    saved = {place for place, row in enumerate(state.rows) if row.policy}
-    return plan if saved.union(in_memory).issuperset(plan.policies) else None
+    needed = [state.rows[place] for place in plan.policies]
+    return plan if all(row.policy or row.event in in_memory for row in needed) else None
 
 
 def value_of(state: StudyState) -> float:

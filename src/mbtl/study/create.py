@@ -21,10 +21,9 @@ from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
 from mbtl.study.artifacts import policy_store
 from mbtl.study.budget import Cost, Steps
-from mbtl.study.checks import replay
 from mbtl.study.database import database_file, fixed_url, shown
 from mbtl.study.events import Event
-from mbtl.study.listing import chosen_name, database_at
+from mbtl.study.listing import opened
 from mbtl.study.problem import Beside, Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec, check_spec
@@ -295,20 +294,14 @@ def load_study(
         InvalidInput: there are several and no name is given, or none has that name.
         StudyMismatch: it is a study of another problem, or with another strategy.
     """
-    place = database_at(storage)
-    name = chosen_name(place, name)
-    log = SqlLog(place, name)
-    events = log.read()
-    if not events:
-        raise StudyError(f"there is no study {name!r} in {shown(place)}")
-    state = replay(events)
+    log, state = opened(storage, name)
     spec, beside = state.spec, Beside()
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
         check_problem(spec, facts)
         trainer, beside = facts.trainer, facts.beside
     chosen = _strategy_then(spec, strategy)
-    folder = policy_store(place, artifacts)
+    folder, name = policy_store(log.url, artifacts), log.study
     return Study(log, chosen, folder=folder, name=name, trainer=trainer, beside=beside, state=state)
 
 

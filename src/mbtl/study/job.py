@@ -176,7 +176,9 @@ def perform(
         on_stuck: called from another thread where the job does not end at its time limit.
     """
     started = time.perf_counter()
-    kept, steps = job.kept, _Steps(on_progress, _steps_before(job))
+    goes_on = job.done and job.start is not None and isinstance(job.trainer, FunctionTrainer)
+    before = job.start.steps if job.start is not None and goes_on else 0.0  # a function's own count
+    kept, steps = job.kept, _Steps(on_progress, before)
     stage: Stage = "training" if kept is None else "saving"
     try:
         with at_most(job.timeout, on_stuck):
@@ -346,12 +348,6 @@ def _begun_with(job: Job) -> Any:
             "or say where the study keeps its policies (artifacts=, --artifacts)"
         )
     return job.trainer.load(folder)
-
-
-def _steps_before(job: Job) -> float | None:
-    """What reports of a training leave out: a function counts from where it goes on."""
-    goes_on = job.done and job.start is not None and isinstance(job.trainer, FunctionTrainer)
-    return job.start.steps if goes_on and job.start is not None else 0.0
 
 
 def _trained(job: Job, on_progress: _Steps) -> Kept:

@@ -13,6 +13,7 @@ from mbtl.study.checks import replay
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import check_path, database_file, fixed_url, shown
 from mbtl.study.leases import Presence, Watch
+from mbtl.study.state import StudyState
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -88,21 +89,28 @@ def delete_study(
         StudyError: there is none, or somebody runs it just now.
         InvalidInput: there are several and no name is given, or none has that name.
     """
-    address = database_at(storage)
-    name = chosen_name(address, name)
-    log = SqlLog(address, name)
-    state = replay(log.read())
-    watch = Watch(log, Presence(database_file(address)).is_gone)
+    log, state = opened(storage, name)
+    watch = Watch(log, Presence(database_file(log.url)).is_gone)
     # leases without end are those of ask and tell, whose programs may be long gone
     if held := others(state, watch, "", for_ever=False):
         raise StudyError(
-            f"a study that is run is not deleted, and {name!r} is run by {', '.join(held)}; end "
-            "that first, or wait until its leases have ended"
+            f"a study that is run is not deleted, and {log.study!r} is run by {', '.join(held)}; "
+            "end that first, or wait until its leases have ended"
         )
-    store = policy_store(address, artifacts)
+    store = policy_store(log.url, artifacts)
     log.delete()
     if isinstance(store, FolderStore) and not keep_policies:
         store.remove(f"policies/{state.uid}")
+
+
+def opened(storage: str | Path, name: str | None) -> tuple[SqlLog, StudyState]:
+    """The log of a study, and what it says; `load_study` describes arguments and errors."""
+    address = database_at(storage)
+    log = SqlLog(address, chosen_name(address, name))
+    state = replay(log.read())
+    if not state.seq:  # somebody has just deleted it
+        raise StudyError(f"there is no study {log.study!r} in {shown(address)}")
+    return log, state
 
 
 def database_at(storage: str | Path) -> str:

@@ -155,7 +155,6 @@ class PickRecord(Plan):
 
 LOGGED = (
     "pick", "cost", "seconds", "policy", "sha256", "recipe", "steps", "state", "state_sha256",
-    "evaluation_steps",
 )  # fmt: skip
 """Facts of a row that its event has under the same name."""
 
@@ -177,7 +176,6 @@ class ToldRow(Plan):
         steps: environment steps of the training; None: not known.
         state: folder of the training's state, to go on from exactly; None: there is none.
         state_sha256: of its files.
-        evaluation_steps: environment steps of its evaluations on targets; None: not known.
     """
 
     pick: int | None
@@ -192,7 +190,6 @@ class ToldRow(Plan):
     steps: float | None
     state: str | None
     state_sha256: str | None
-    evaluation_steps: float | None
 
     @cached_property
     def returns(self) -> Array:

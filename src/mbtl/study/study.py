@@ -32,7 +32,7 @@ from mbtl.errors import (
     check_known,
 )
 from mbtl.faults import FAULTS, reason_of, say
-from mbtl.plain import short, whole
+from mbtl.plain import whole
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
@@ -95,9 +95,8 @@ class Failures:
     rehearse: bool = True
 
     def __post_init__(self) -> None:
-        for name, least in (("most_in_a_row", 1), ("retries", 0)):
-            if whole(f"{name} of Failures", value := getattr(self, name)) < least:
-                raise InvalidInput(f"{name} of Failures is {least} or more, got {short(value)}")
+        whole("most_in_a_row of Failures", self.most_in_a_row, 1)
+        whole("retries of Failures", self.retries, 0)
 
 
 @dataclass(frozen=True)
@@ -124,8 +123,7 @@ class Workers:
     timeout: float | None = None
 
     def __post_init__(self) -> None:
-        if whole("parallel of Workers", self.parallel) < 1:
-            raise InvalidInput(f"parallel of Workers is 1 or more, got {short(self.parallel)}")
+        whole("parallel of Workers", self.parallel, 1)
         for name, seconds in (("lease", self.lease), ("timeout", self.timeout)):
             if seconds is not None and not seconds > 0:
                 raise InvalidInput(f"{name} of Workers is a number of seconds > 0, got {seconds!r}")
@@ -145,7 +143,8 @@ class Study(AskTell):
         beside: what people see beside V, measured by the closing report.
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
-        policies: number of the row -> policy, for policies of this process that were not saved.
+        policies: number of the event that told it (`ToldRow.event`) -> policy, for policies of this
+            process that were not saved.
         untold: number of the pick -> what is trained, not saved, and not evaluated so far.
         stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
         selector: the strategy, which proposes trainings.
@@ -617,7 +616,7 @@ def _report(
     plan = replace(plan, baselines=len(baselines))
     announce("on_report", plan)
     try:
-        _play(study, trainer, plan, baselines, announce, timeout, stuck)
+        _play(study, trainer, plan, baselines, announce, partial(at_most, timeout, stuck))
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
@@ -705,8 +704,7 @@ def _play(
     plan: ReportPlan,
     baselines: Mapping[str, Any],
     announce: Callable[..., None],
-    timeout: float | None = None,
-    on_stuck: Callable[[], None] | None = None,
+    limit: Callable[[], AbstractContextManager[None]],
 ) -> None:
     """Evaluate what the plan says on fresh seeds, and record it.
 
@@ -716,8 +714,7 @@ def _play(
         plan: see `plan_of`.
         baselines: what is played beside them, by name.
         announce: tells people.
-        timeout: seconds for each policy; None: no limit.
-        on_stuck: see `mbtl.study.time_limits.at_most`.
+        limit: of the time for each policy.
     """
     rows, portfolio, n = len(study.state.rows), study.portfolio(trainer), study.space.n
     names = tuple(study.beside.metrics)
@@ -730,7 +727,7 @@ def _play(
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
         told: Mapping[str, Array] = {}
-        with at_most(timeout, on_stuck):
+        with limit():
             if isinstance(trainer, MeasuringTrainer) and (names or not own):
                 told = trainer.measure(policy, contexts, seeds, names)
                 returns = told[SCORE]

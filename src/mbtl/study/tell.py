@@ -9,6 +9,7 @@ import numpy as np
 
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyError
+from mbtl.plain import whole
 from mbtl.study.events import Event
 from mbtl.study.records import Pick, PickRecord
 from mbtl.study.state import StudyState
@@ -80,9 +81,12 @@ def held_number(state: StudyState, pick: Pick | int) -> int:
         StudyError: it is not open, or was taken over.
     """
     if not isinstance(pick, Pick):
-        if pick not in state.open_picks:
-            raise StudyError(f"pick {pick + 1} is not open: it was answered before, or never asked")
-        return int(pick)
+        number = whole("the number of a pick", pick)
+        if number not in state.open_picks:
+            raise StudyError(
+                f"pick {number + 1} is not open: it was answered before, or never asked"
+            )
+        return number
     number = open_number(state, pick)
     if is_late(state, pick):
         raise StudyError(
@@ -136,7 +140,7 @@ def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...
 
 def reopening(state: StudyState, pick: Pick | int) -> Event:
     """The event that opens a failed pick again, or one whose policy could not be evaluated."""
-    number = pick.number if isinstance(pick, Pick) else int(pick)
+    number = pick.number if isinstance(pick, Pick) else whole("the number of a pick", pick)
     if number in state.deferred:
         return Event("reopened", {"pick": number})
     failed = next((f for f in state.failures if f.pick == number), None)
