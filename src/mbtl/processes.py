@@ -103,10 +103,9 @@ class SeparateWorkers(Executor):
         """End the process that does a job, and what it has started."""
         slot = next(i for i, one in enumerate(self._jobs) if one is job)
         pool, self._pools[slot], self._jobs[slot] = self._pools[slot], None, None
-        processes = list((pool._processes or {}).values()) if pool is not None else []
-        for process in processes:
-            _tell_group(process, _KILL)
         if pool is not None:
+            for process in list((pool._processes or {}).values()):
+                _tell_group(process, _KILL)
             pool.shutdown(wait=False)
 
     def end(self) -> None:

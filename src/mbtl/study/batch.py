@@ -83,7 +83,7 @@ class Batches:
     _died: set[int] = field(default_factory=set)
     _in_a_row: int = 0
     _given_up: set[int] = field(default_factory=set)
-    _ending: bool = False
+    _ending: BaseException | None = None
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
 
@@ -101,15 +101,13 @@ class Batches:
         """
         waiting: dict[int, Pick] = {}
         outcomes = self._outcomes(size, ask, waiting)
-        end: Exception | None = None
-        self._failed = None
-        self._ending = False
+        self._failed = self._ending = None
         try:
             for pick, outcome in outcomes:
                 trouble = outcome if isinstance(outcome, Trouble) else None
                 if trouble is not None and isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
                     self._keep(pick, trouble.kept)
-                    end, self._ending = end or trouble.error, True
+                    self._ending = self._ending or trouble.error
                     continue
                 again = trouble is not None and self._may_try_again(pick, trouble)
                 in_time = outcome is not None and self._record(pick, outcome, again=again)
@@ -129,7 +127,7 @@ class Batches:
                     if self._in_a_row > self.failures_allowed:
                         failures = "failure" if self._in_a_row == 1 else "failures"
                         row = f"{self._in_a_row} {failures} in a row"
-                        end, self._ending = end or self._end(pick, trouble, row), True
+                        self._ending = self._ending or self._end(pick, trouble, row)
         except _CallbackError as wrapped:
             raise wrapped.error from None
         finally:
@@ -137,10 +135,10 @@ class Batches:
                 future.cancel()
             self._under_way.clear()
             self._give_back([*waiting.values()])
-        if end is None and self._failed is not None and self._in_doubt:
-            end = self._end(*self._failed, "nothing has succeeded yet")
-        if end is not None:
-            raise end
+        if self._ending is None and self._failed is not None and self._in_doubt:
+            self._ending = self._end(*self._failed, "nothing has succeeded yet")
+        if self._ending is not None:
+            raise self._ending
 
     def give_back_held(self) -> bool:
         """Let go of the picks whose policies could not be evaluated; False when there are none."""

@@ -204,11 +204,7 @@ def perform(
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
             stage = "evaluation"
             if job.rehearse and len(job.targets) > 2:
-                last = len(job.targets) - 1
-                seeds = job.evaluation_seeds[::last]
-                _evaluated(
-                    replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
-                )
+                _evaluated(job, kept.policy, every=len(job.targets) - 1)
             returns, played = _evaluated(job, kept.policy)
     except (TrainingPruned, TookTooLong) as error:
         return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
@@ -274,9 +270,9 @@ def rehearse(
     return None if isinstance(outcome, Outcome) else outcome
 
 
-def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
-    """Checked returns on all targets and, where they are counted, the steps of the episodes."""
-    trainer, targets, seeds = job.trainer, list(job.targets), list(job.evaluation_seeds)
+def _evaluated(job: Job, policy: Any, every: int = 1) -> tuple[Array, float | None]:
+    """Checked returns on all targets, or every so many, and, where counted, the episodes' steps."""
+    trainer, targets, seeds = job.trainer, job.targets[::every], job.evaluation_seeds[::every]
     steps = None
     if job.counts_steps and isinstance(trainer, CountingTrainer):
         returns, lasted = trainer.evaluate_steps(policy, targets, seeds)

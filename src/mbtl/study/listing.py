@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbtl.errors import InvalidInput, StudyError, unknown_name
+from mbtl.errors import InvalidInput, StudyError, check_known
 from mbtl.files import from_home
 from mbtl.study.artifacts import FolderStore, policy_store
 from mbtl.study.ask import is_finished, others, stop_reason
@@ -130,19 +130,20 @@ def chosen_name(address: str, name: str | None) -> str:
         StudyError: there is none.
     """
     names = study_names(address)
-    if name is None and len(names) != 1:
-        if names:
-            raise InvalidInput(
-                f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); choose one "
-                "with name= (--name)"
-            )
+    if name is not None:
+        check_known("study", name, names)
+        return name
+    if not names:
         raise StudyError(
             f"{shown(address)} holds no study; `mbtl run` and mbtl.create_study(..., storage=...) "
             "make one"
         )
-    if name is not None and name not in names:
-        raise unknown_name("study", name, names)
-    return names[0] if name is None else name
+    if len(names) > 1:
+        raise InvalidInput(
+            f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); choose one "
+            "with name= (--name)"
+        )
+    return names[0]
 
 
 def entry_of(address: str, name: str) -> StudyEntry:

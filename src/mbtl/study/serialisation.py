@@ -24,10 +24,8 @@ def describe_selector(selector: Selector, named: str | Selector | None = None) -
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            held = {
-                f.name: (getattr(value, f.name), _default(f)) for f in dataclasses.fields(value)
-            }
-            return {name: plain(given) for name, (given, usual) in held.items() if given != usual}
+            held = {f: getattr(value, f.name) for f in dataclasses.fields(value)}
+            return {f.name: plain(given) for f, given in held.items() if given != _default(f)}
         if isinstance(value, (list, tuple)):
             return [plain(item) for item in value]
         return described(value)

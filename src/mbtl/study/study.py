@@ -571,14 +571,12 @@ def _wait_for_others(study: Study, announce: Callable[..., None]) -> bool:
 
     One of them may die, and its training is then to be done here.
     """
-    seq, left, announced = study.refresh().seq, study.orphans, False
-    pause = _LOOK
+    seq, left, pause = study.refresh().seq, study.orphans, _LOOK
     while seq == study.refresh().seq and study.orphans == left:
         theirs = ask.others(study.state, study.watch(), study.worker, for_ever=False)
         if not theirs or study.stopping is not None:
             return False
-        if not announced:
-            announced = True
+        if pause == _LOOK:
             announce("on_note", f"waiting for trainings of {', '.join(theirs)}")
         time.sleep(pause * random.uniform(0.5, 1.0))
         pause = min(1.5 * pause, _LONGEST_LOOK)

@@ -141,18 +141,16 @@ def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...
 def reopening(state: StudyState, pick: Pick | int) -> Event:
     """The event that opens a failed pick again, or one whose policy could not be evaluated."""
     number = pick.number if isinstance(pick, Pick) else whole("the number of a pick", pick)
-    if number in state.deferred:
-        return Event("reopened", {"pick": number})
-    failed = next((f for f in state.failures if f.pick == number), None)
-    if failed is None:
-        raise StudyError(
-            f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
-        )
-    record = state.picks[number]
-    same = record.sources, record.start, record.length
-    if any((row.sources, row.start, row.length) == same for row in state.rows):
-        where = _where(state, record.sources)
-        raise StudyError(f"{where} was told since pick {number + 1} failed there")
+    if number not in state.deferred:
+        if all(failure.pick != number for failure in state.failures):
+            raise StudyError(
+                f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
+            )
+        record = state.picks[number]
+        same = record.sources, record.start, record.length
+        if any((row.sources, row.start, row.length) == same for row in state.rows):
+            where = _where(state, record.sources)
+            raise StudyError(f"{where} was told since pick {number + 1} failed there")
     return Event("reopened", {"pick": number})
 
 
