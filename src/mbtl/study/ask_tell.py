@@ -138,9 +138,11 @@ class AskTell:
     def refresh(self) -> StudyState:
         """Apply what other processes appended, and return the state."""
         for event in self.log.read(self._state.seq):
+            gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
             advance(self._state, event)
-            if event.kind == "voided":
-                self.policies.pop(event.data["told"], None)
+            if gone is not None:  # policies are kept by the place of their row
+                kept = {i: p for i, p in self.policies.items() if i != gone}
+                self.policies = {i - (i > gone): policy for i, policy in kept.items()}
         if not self._state.seq:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
@@ -291,9 +293,7 @@ class AskTell:
             policy_folders=folders,
             policy_format=policy_format,
             load=trainer.load if trainer is not None else None,
-            in_memory={
-                i: self.policies[r.event] for i, r in enumerate(rows) if r.event in self.policies
-            },
+            in_memory=dict(self.policies),
             sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
             cmdp=spec.problem or None,
             metadata={"study": self.name, "selector": spec.selector, "settings": spec.settings},
@@ -461,11 +461,11 @@ class AskTell:
             "state_sha256": None if training_state is None else training_state.sha256,
             "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
         }
-        event = 0
+        row = 0
 
         def told(state: StudyState) -> dict[str, Any]:
-            nonlocal event
-            event = state.seq + 1
+            nonlocal row
+            row = len(state.rows)
             number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
@@ -477,7 +477,7 @@ class AskTell:
         with self._lock:  # so that no other thread takes a row away meanwhile
             in_time = self._answer("told", pick, data, told, arrays)
             if policy_object is not None and in_time:
-                self.policies[event] = policy_object
+                self.policies[row] = policy_object
         return in_time
 
     def evaluation_seeds(

@@ -307,7 +307,7 @@ class Batches:
         state = None
         if row.state and (pick.done or (pick.trains and "inherit" in self.trainer.takes)):
             state = Artifact(row.state, row.state_sha256 or "")
-        return Kept(self.study.policies.get(pick.start), kept, row.steps), state
+        return Kept(self.study.policies.get(place), kept, row.steps), state
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""

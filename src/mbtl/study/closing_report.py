@@ -147,7 +147,7 @@ def plan_to_do(
 
     Args:
         state: of the study.
-        in_memory: numbers of the events that told policies that are there, though not saved.
+        in_memory: places of the policies that are there, though not saved.
         whole: as of `plan_of`.
         baselines: names of what is to be played beside them; the plan does not count them yet.
         metrics: names of what is to be measured.
@@ -161,8 +161,8 @@ def plan_to_do(
         seen[list(fresh.lost)] = True
         if not whole or seen[plan.contexts].all():
             return None
-    needed = [state.rows[place] for place in plan.policies]
-    return plan if all(row.policy or row.event in in_memory for row in needed) else None
+    there = all(state.rows[place].policy or place in in_memory for place in plan.policies)
+    return plan if there else None
 
 
 def value_of(state: StudyState) -> float:

@@ -143,8 +143,7 @@ class Study(AskTell):
         beside: what people see beside V, measured by the closing report.
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
-        policies: number of the event that told it (`ToldRow.event`) -> policy, for policies of this
-            process that were not saved.
+        policies: number of the row -> policy, for policies of this process that were not saved.
         untold: number of the pick -> what is trained, not saved, and not evaluated so far.
         stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
         selector: the strategy, which proposes trainings.
