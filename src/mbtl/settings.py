@@ -88,6 +88,22 @@ def differences(
             yield f"{path}{key}", was, now
 
 
+def changed_code(known: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
+    """What changed in a user's own code, for people.
+
+    Args:
+        known: descriptions of code, by the role that it has.
+        given: of today.
+    """
+    found = []
+    for path, was, now in differences(known, given):
+        role, *names = [part for part in path.split(".") if part != "code"]
+        said = f"`{'.'.join(names)}`, which `{role}` uses" if names else f"`{role}`"
+        values = [one for one in (was, now) if one is not None and not str(one).startswith(CODE)]
+        found.append(f"{said} (was {was!r}, is {now!r})" if names and len(values) > 1 else said)
+    return found
+
+
 # ---- values ------------------------------------------------------------------------------------
 
 

@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMismatch
+from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMismatch, few
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
 from mbtl.routing import Routing
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.settings import first_difference
+from mbtl.settings import changed_code, first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Cost, Steps
@@ -40,7 +40,6 @@ from mbtl.study.job import Kept
 from mbtl.study.leases import Lease, Presence, Watch, new_worker
 from mbtl.study.problem import Beside
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
-from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
@@ -605,7 +604,12 @@ class AskTell:
             if self.has_succeeded and "code" in known:  # what only failed may be mended
                 changes = changed_code(known["code"], code)
             if changes and not accept_changes:
-                raise code_mismatch(changes)
+                raise StudyMismatch(
+                    "the policies of a study are made and evaluated by one code, and since they "
+                    f"were made {few(changes)} changed; take the old code back, start another "
+                    "study (--new, or another name), or mix them knowingly, "
+                    "study.equip(trainer, accept_changes=True) (--accept-changes)"
+                )
         facts = {**given, **({"accepted": changes} if changes else {})}
         self._commit(lambda _: Event("equipped", facts))
         if not begun:
