@@ -95,19 +95,17 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", blocking=False)  # ends with the process, however it ends
-        lock.acquire()
+        # ends with the process, however it ends
+        lock = FileLock(folder / ".lock", blocking=False).acquire()
     except Timeout as error:
         raise StorageError(
             f"another process works in {folder}; wait until it has ended, or choose another folder"
         ) from error
     except OSError as error:
         raise cannot_write(folder, error) from error
-    try:
+    with lock:
         _check_claim(folder, json.loads(json.dumps(settings)), what)
         yield
-    finally:
-        lock.release()
 
 
 def claim_of(folder: Path) -> dict[str, Any] | None:

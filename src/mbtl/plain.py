@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from typing import Any, overload
 
 import numpy as np
@@ -65,12 +66,8 @@ def real(name: str, number: float | None) -> float | None:
     Raises:
         InvalidInput: it is none.
     """
-    value = None if number is None else _float(name, number)
-    if value is not None and not 0 < value <= LARGEST:
-        raise InvalidInput(
-            f"{name} must be finite and > 0, at most {LARGEST:g}, got {short(number)}"
-        )
-    return value
+    rule = f"finite and > 0, at most {LARGEST:g}"
+    return _number(name, number, lambda value: 0 < value <= LARGEST, rule)
 
 
 def finite(name: str, number: float | None, least: float = -LARGEST) -> float | None:
@@ -79,12 +76,8 @@ def finite(name: str, number: float | None, least: float = -LARGEST) -> float | 
     Raises:
         InvalidInput: it is none.
     """
-    value = None if number is None else _float(name, number)
-    if value is not None and not least <= value <= LARGEST:
-        raise InvalidInput(
-            f"{name} must be finite, from {least:g} to {LARGEST:g}, got {short(number)}"
-        )
-    return value
+    rule = f"finite, from {least:g} to {LARGEST:g}"
+    return _number(name, number, lambda value: least <= value <= LARGEST, rule)
 
 
 def floats(given: Any) -> NDArray[np.float64]:
@@ -132,8 +125,12 @@ def short(value: Any) -> str:
     return shown if len(shown) <= 60 else f"{shown[:57]}..."
 
 
-def _float(name: str, number: Any) -> float:
+def _number(name: str, number: Any, holds: Callable[[float], bool], rule: str) -> float | None:
+    """None, or a number that keeps a rule."""
+    if number is None:
+        return None
     value = float_of(number)
-    if value is None:
-        raise InvalidInput(f"{name} must be a number, got {short(number)}")
+    if value is None or not holds(value):
+        rule = "a number" if value is None else rule
+        raise InvalidInput(f"{name} must be {rule}, got {short(number)}")
     return value

@@ -749,9 +749,8 @@ class AskTell:
 
     def _warn_by_hand(self, pick: Pick) -> None:
         """Before the first training: what is not tried; nobody else says it."""
-        if pick.number or self.trainer is None or not self.spec.any_training:
-            return
-        if not self._state.problem().assumed:
+        by_hand = self.trainer is not None and self.spec.any_training
+        if pick.number or not (by_hand and self._state.problem().assumed):
             return
         for note in self._state.picks[0].notes:
             try:
