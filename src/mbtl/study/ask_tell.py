@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
+from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,7 @@ from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMis
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
+from mbtl.portfolio import Portfolio
 from mbtl.routing import Routing
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.selectors import SelectionProblem, Selector
@@ -52,10 +53,6 @@ from mbtl.trainers.contract import (
     equipment_of,
     recipe_digest,
 )
-
-if TYPE_CHECKING:
-    from mbtl.portfolio import Portfolio
-
 
 P = ParamSpec("P")
 
@@ -268,8 +265,6 @@ class AskTell:
             StorageError: a policy's folder is not inside the study's, or is reached by a link, or
                 a policy is not the one that was told.
         """
-        from mbtl.portfolio import Portfolio
-
         rows, spec = self.refresh().rows, self.spec
         if not rows:
             raise StudyError(

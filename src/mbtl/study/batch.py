@@ -94,16 +94,14 @@ class Batches:
 
         Args:
             size: trainings at a time.
-            ask: gives the next pick; None: there is none.
+            ask: gives the next pick, which the keeper holds; None: there is none.
 
         Raises:
             TrainingFailed: failures end the run. What was under way is told.
         """
-        waiting: dict[int, Pick] = {}
-        outcomes = self._outcomes(size, ask, waiting)
         self._failed = self._ending = None
         try:
-            for pick, outcome in outcomes:
+            for pick, outcome in self._outcomes(size, ask):
                 trouble = outcome if isinstance(outcome, Trouble) else None
                 if trouble is not None and isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
                     self._keep(pick, trouble.kept)
@@ -111,7 +109,6 @@ class Batches:
                     continue
                 again = trouble is not None and self._may_try_again(pick, trouble)
                 in_time = outcome is not None and self._record(pick, outcome, again=again)
-                waiting.pop(pick.number, None)
                 if not in_time:
                     self._lose(pick)
                 elif trouble is None:
@@ -134,7 +131,7 @@ class Batches:
             for future in self._under_way:  # those that have not begun will not
                 future.cancel()
             self._under_way.clear()
-            self._give_back([*waiting.values()])
+            self._give_back([pick for pick in self.keeper.held() if pick not in self.held])
         if self._ending is None and self._failed is not None and self._in_doubt:
             self._ending = self._end(*self._failed, "nothing has succeeded yet")
         if self._ending is not None:
@@ -149,7 +146,7 @@ class Batches:
     # ---- trainings under way -----------------------------------------------------------------
 
     def _outcomes(
-        self, size: int, ask: Callable[[], Pick | None], waiting: dict[int, Pick]
+        self, size: int, ask: Callable[[], Pick | None]
     ) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, see `do`; None where it is somebody else's by now.
 
@@ -160,7 +157,6 @@ class Batches:
                 pick = ask()
                 if pick is None:
                     break
-                waiting[pick.number] = pick
                 self._announce_pick(pick)
                 future = self._begun(pick, self._job(pick))
                 self._under_way[future] = pick, time.monotonic()

@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from mbtl.errors import (
 )
 from mbtl.faults import FAULTS, reason_of, say
 from mbtl.plain import whole
+from mbtl.portfolio import Portfolio
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
@@ -59,10 +60,6 @@ from mbtl.trainers.contract import (
     checked_targets,
     completed,
 )
-
-if TYPE_CHECKING:
-    from mbtl.portfolio import Portfolio
-
 
 LEASE = 60.0
 """Seconds for which a run may be silent before others take its trainings over."""

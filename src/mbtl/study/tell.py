@@ -127,8 +127,7 @@ def _source_of(space: ContextSpace, pick: Any) -> int:
             "tell takes what ask gave, a context, its index, or several, got "
             f"{type(pick).__name__} {pick!r}"
         )
-    if not 0 <= int(pick) < space.n:
-        raise InvalidInput(f"context indices run from 0 to {space.n - 1}, got {pick}")
+    space.context(int(pick))  # refuses what is none
     return int(pick)
 
 
