@@ -19,10 +19,9 @@ from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
+from threadpoolctl import ThreadpoolController
 
 GRACE = 5.0
 """Seconds in which a worker that is to end may close its simulators; then it is killed."""
@@ -258,6 +257,5 @@ _SINGLE = _Single()
 @cache
 def _controller() -> ThreadpoolController:
     import scipy.linalg  # noqa: F401  its libraries are to be among those found
-    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

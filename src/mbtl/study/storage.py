@@ -224,8 +224,12 @@ class SqlLog:
         return found is not None and all(found[k] == row[k] for k in ("kind", "data", "arrays"))
 
     def _do(self, work: Callable[[sa.Connection], T], *, writes: bool = False) -> T:
-        """What `work` gives in one transaction, which may be done twice."""
-        return self.patience.through(lambda: self._try(work, writes=writes, single=not writes))
+        """What `work` gives in one transaction, again where the server did not answer."""
+        while True:
+            try:
+                return self._try(work, writes=writes, single=not writes)
+            except Unreachable as error:
+                self.patience.wait(error)
 
     def _try(self, work: Callable[[sa.Connection], T], *, writes: bool, single: bool) -> T:
         """Once; a single statement is a transaction by itself, and needs no words around it."""
