@@ -267,7 +267,6 @@ class Batches:
     def _job(self, pick: Pick) -> Job:
         study = self.study
         targets = range(study.space.n) if pick.targets is None else pick.targets
-        start, state = self._begun_with(pick)
         return Job(
             self.trainer,
             pick.contexts,
@@ -280,18 +279,17 @@ class Batches:
             self.rehearse and not study.has_succeeded,
             spools_of(study.database) if study.is_durable else (),
             self.timeout,
-            start,
+            self._begun_with(pick),
             pick.done,
             pick.length,
-            state,
             study.spec.any_training and pick.trains,
             study.spec.steps is not None,
         )
 
-    def _begun_with(self, pick: Pick) -> tuple[Kept | None, Artifact | None]:
-        """The policy that a training begins with, and its state where it goes on or inherits."""
+    def _begun_with(self, pick: Pick) -> Kept | None:
+        """The policy that a training begins with, with its state where it goes on or inherits."""
         if pick.start is None:
-            return None, None
+            return None
         place = self.study.state.place_of(pick.start)
         if place < 0:
             raise StudyError(
@@ -303,7 +301,7 @@ class Batches:
         state = None
         if row.state and (pick.done or (pick.trains and "inherit" in self.trainer.takes)):
             state = Artifact(row.state, row.state_sha256 or "")
-        return Kept(self.study.policies.get(place), kept, row.steps), state
+        return Kept(self.study.policies.get(place), kept, row.steps, state)
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""

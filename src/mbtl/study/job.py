@@ -78,11 +78,10 @@ class Job:
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
         spools: where the policy waits while the store cannot be written, best first.
         timeout: seconds for all of it; None: no limit.
-        start: the policy to begin with; None: from scratch.
+        start: the policy to begin with; None: from scratch. With a state where its own training
+            goes on, or the trainer inherits; else the training begins with the weights.
         done: units that its training has had, where it goes on.
         length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
-        state: of the training of `start`, where it goes on, or the trainer inherits; None: it
-            begins with the weights.
         keeps_state: the training may go on later, so its state is kept.
         counts_steps: the steps of evaluations are counted, where the trainer can.
         untrained: a policy that is not trained will do: it is to be seen whether all else works.
@@ -102,7 +101,6 @@ class Job:
     start: Kept | None = None
     done: float = 0.0
     length: float | None = None
-    state: Artifact | None = None
     keeps_state: bool = False
     counts_steps: bool = False
     untrained: bool = False
@@ -356,9 +354,10 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
         return Kept(job.trainer.untrained(job.contexts[0]))
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
-    if left is None and job.state is not None and "state" in job.trainer.takes:
+    state = None if job.start is None else job.start.state
+    if left is None and state is not None and "state" in job.trainer.takes:
         with suppress(StorageError):
-            kept = _states(job).read(job.state.place, job.state.sha256)
+            kept = _states(job).read(state.place, state.sha256)
             left = next(iter(kept.glob(_STATE)), None)
     if own is not None and left is not None and not own.exists():
         with suppress(OSError):
