@@ -69,13 +69,9 @@ def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -
 
 def stop_reason(state: StudyState) -> str | None:
     """Why nothing more can be asked; None while something can."""
-    reason = _early_stop(state) or state.stopped
-    if reason is not None:
+    reason = _early_stop(state) or state.stopped or spent(state)
+    if reason is not None or state.spec.any_training:  # where something may always go on
         return reason
-    if (reason := spent(state)) is not None:
-        return reason
-    if state.spec.any_training:  # there is always something that may be trained for longer
-        return None
     try:
         open_candidates(state.problem(), state.history().specialists())
     except Exhausted as error:

@@ -258,16 +258,16 @@ class StudyState:
         spent = {True: 0.0, False: 0.0}  # on trainings that went on, on new ones
         for row in self._told_by.values():
             if row.pick is not None:
-                spent[row.done > 0.0] += self._own_steps(self.picks[row.pick], row.steps)
+                spent[row.done > 0.0] += self._own_steps(row, row.steps)
         open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
         return Bill(spent[False], spent[True], self.evaluation_steps, self.lost_steps, open_)
 
-    def _own_steps(self, pick: PickRecord, steps: float | None) -> float:
+    def _own_steps(self, one: Plan, steps: float | None) -> float:
         """Environment steps that a pick cost, of those that its training has had in all."""
-        before = self._parent(pick.start) if pick.done else None
+        before = self._parent(one.start) if one.done else None
         had = 0.0 if before is None else before.steps
         if steps is None or had is None:
-            return self.unit_steps * pick.price
+            return self.unit_steps * one.price
         return max(steps - had, 0.0)
 
     def _pay_evaluation(self, returns: Array, steps: float | None) -> None:
@@ -291,23 +291,20 @@ class StudyState:
             return f"pick {pick.number + 1}{of}{self.spec.budget}"
         return f"pick {pick.number + 1}, {self.spent_words()}"
 
-    def said(self, one: PickRecord | ToldRow) -> str:
+    def said(self, one: Plan) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
         how = self.how(one)
         return self.spec.space.describe_set(one.sources) + (f", {how}" if how else "")
 
-    def how(self, one: PickRecord | ToldRow) -> str:
+    def how(self, one: Plan) -> str:
         """From what and how long, in words; empty for a whole training from scratch."""
-        if isinstance(one, ToldRow) and one.pick is None:
-            return ""
-        pick = self.picks[one.pick or 0] if isinstance(one, ToldRow) else one
-        units = f"{pick.length:g} units"
-        if not pick.length:
-            return f"{self._named(pick.start)} evaluated further"
-        if pick.done:
-            return f"{pick.done:g} to {units}"
-        tuned = [] if pick.start is None else [f"tuned from {self._named(pick.start)}"]
-        return ", ".join([*tuned, *([] if pick.length == 1.0 else [units])])
+        units = f"{one.length:g} units"
+        if not one.length:
+            return f"{self._named(one.start)} evaluated further"
+        if one.done:
+            return f"{one.done:g} to {units}"
+        tuned = [] if one.start is None else [f"tuned from {self._named(one.start)}"]
+        return ", ".join([*tuned, *([] if one.length == 1.0 else [units])])
 
     def _named(self, start: int | None) -> str:
         """The policy that event number `start` told, as tables number it."""

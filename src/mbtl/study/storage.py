@@ -124,12 +124,11 @@ class SqlLog:
         row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
         row["checksum"] = checksum_of(after + 1, **facts)
         values = [row["time"] if c is t.c.time else sa.literal(row[c.name], c.type) for c in t.c]
-        names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
         dated = row["time"].between(0.0, LATEST)
         last = sa.select(sa.func.coalesce(sa.func.max(t.c.seq), 0)).where(t.c.study == self.study)
         is_last = sa.select(*values).where((last.scalar_subquery() == after) & dated)
-        statement = sa.insert(t).from_select(names, is_last, include_defaults=False)
+        statement = sa.insert(t).from_select([*t.c], is_last, include_defaults=False)
         statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
 
