@@ -454,7 +454,8 @@ def places_of(study: AskTell, pick: Pick) -> list[str]:
     Below the study's folder; studies that share it, or a database, keep apart by their uid.
     """
     record = study.state.picks[pick.number]
-    own = f"source-{pick.source:04d}" if record.is_specialist else f"pick-{pick.number:04d}"
+    alone = study.state.training_of(record).is_specialist
+    own = f"source-{pick.source:04d}" if alone else f"pick-{pick.number:04d}"
     base = f"policies/{study.state.uid}/{own}"
     tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

@@ -92,11 +92,6 @@ class Plan:
         """Units that it costs."""
         return max(self.length - self.done, 0.0) if self.length else 0.0
 
-    @property
-    def is_specialist(self) -> bool:
-        """On one context, from scratch, a whole one: all that a selector asks for."""
-        return len(self.sources) == 1 and self.start is None and self.length == 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class PickRecord(Plan):

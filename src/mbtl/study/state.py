@@ -137,20 +137,20 @@ class StudyState:
             self._performance.setflags(write=False)  # there may be gigabytes of it
             self._errors = self._episodes().errors if self.rows else None
         trainings = [self.training_of(row) for row in self.rows]
-        busy = self.open_picks.values()
-        dead = [self.picks[failure.pick] for failure in self.failures]
+        busy = [self.training_of(pick) for pick in self.open_picks.values()]
+        dead = [self.training_of(self.picks[failure.pick]) for failure in self.failures]
         usual = all(one.is_specialist for one in trainings)
         return History(
             n,
             tuple(row.source for row in self.rows),
             self._performance,
-            tuple(pick.source for pick in busy if pick.is_specialist),
-            tuple(pick.source for pick in dead if pick.is_specialist),
+            tuple(one.contexts[0] for one in busy if one.is_specialist),
+            tuple(one.contexts[0] for one in dead if one.is_specialist),
             self._errors,
             self.committed,
             () if usual else tuple(trainings),
-            tuple(self.training_of(pick) for pick in busy if not pick.is_specialist),
-            tuple(self.training_of(pick) for pick in dead if not pick.is_specialist),
+            tuple(one for one in busy if not one.is_specialist),
+            tuple(one for one in dead if not one.is_specialist),
             self.spec.budget - self.units_left,
         )
 

@@ -733,7 +733,7 @@ def _play(
         found[targets] = each
         for mean, name in zip(means, names, strict=True):
             if name in told:
-                mean[targets] = told[name].mean(axis=1)
+                mean[targets] = np.asarray(told[name]).mean(axis=1)
         return found, means
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
