@@ -10,7 +10,7 @@ Notation (shapes): k policies in training order, N contexts, n of them played, E
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container
+from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.routing import SURE
 from mbtl.seeds import Purpose, derive_seed
+from mbtl.study.problem import Beside
 from mbtl.study.state import StudyState
 
 Indices = NDArray[np.intp]
@@ -134,12 +135,7 @@ def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
 
 
 def plan_to_do(
-    state: StudyState,
-    in_memory: Container[int],
-    *,
-    whole: bool = False,
-    baselines: Collection[str] = (),
-    metrics: Collection[str] = (),
+    state: StudyState, in_memory: Container[int], beside: Beside, *, whole: bool
 ) -> ReportPlan | None:
     """The plan, if it is not done already and every policy that it needs is at hand.
 
@@ -148,15 +144,14 @@ def plan_to_do(
     Args:
         state: of the study.
         in_memory: places of the policies that are there, though not saved.
+        beside: what is to be measured, and played beside them; the plan does not count that yet.
         whole: as of `plan_of`.
-        baselines: names of what is to be played beside them; the plan does not count them yet.
-        metrics: names of what is to be measured.
     """
     if not state.rows or state.spec.risk < 1.0:
         return None
     fresh, plan = state.fresh, plan_of(state, whole=whole)
-    known = fresh is not None and {*baselines} <= {*fresh.baselines}
-    if fresh is not None and known and {*metrics} <= {*fresh.units}:
+    known = fresh is not None and {*beside.baselines} <= {*fresh.baselines}
+    if fresh is not None and known and {*beside.metrics} <= {*fresh.units}:
         seen = _played(fresh.served)
         seen[list(fresh.lost)] = True
         if not whole or seen[plan.contexts].all():

@@ -588,14 +588,11 @@ def _report(
     whole: bool,
 ) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
-    beside = study.beside
 
     def failed(reason: str) -> None:
         announce("on_note", f"V on fresh episodes could not be measured: {reason}")
 
-    plan = plan_to_do(
-        study.state, study.policies, whole=whole, baselines=beside.baselines, metrics=beside.metrics
-    )
+    plan = plan_to_do(study.state, study.policies, study.beside, whole=whole)
     if plan is None:
         if study.state.rows and study.state.fresh is None and study.spec.risk == 1.0:
             failed("policies that serve were told without their files")
