@@ -437,18 +437,16 @@ def run(
 
     try:
         with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
-            if pooled is not None:
-                _check_can_travel(pooled, trainer)
+            _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
             if any(isinstance(one, str) for one in study.beside.baselines.values()):
                 _baselines(study, trainer)  # refuses a name before anything is trained
             _announce_others(study, announce)
             _announce_lost(study, announce)
             _announce_dear_rows(study, announce)
-            again = failures.retry_failed
-            if study.state.equipment is not None or again or not study.is_finished:
+            if study.state.equipment is not None or failures.retry_failed or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
-            if again:
+            if failures.retry_failed:
                 begin_again(study)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
@@ -459,8 +457,7 @@ def run(
                 study, trainer, pooled, failures.most_in_a_row - 1, first_policy, announce, keeper,
                 workers.timeout, failures.retries,
             )  # fmt: skip
-            ask = partial(_next_pick, study, keeper)
-            do_all = partial(batches.do, workers.parallel, ask)
+            do_all = partial(batches.do, workers.parallel, partial(_next_pick, study, keeper))
             try:
                 do_all()
                 while wait and _wait_for_others(study, announce):
@@ -477,7 +474,7 @@ def run(
     return RunResult(
         study,
         study.curve,
-        fresh_value(study.state) if study.state.rows else None,
+        fresh_value(study.state),
         study.trainings,
         tuple(study.state.failures),
         study.stopping or study.stop_reason,
@@ -653,9 +650,7 @@ def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
     """Where policies are not where they were: a mistyped place must not be found at the end."""
     store, rows = study.artifacts, enumerate(study.state.rows)
     kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
-    if store is None or not kept:
-        return
-    if store.receipt(kept[-1][1]) is None:
+    if store is not None and kept and store.receipt(kept[-1][1]) is None:
         where = store.root if isinstance(store, FolderStore) else store.url
         announce(
             "on_note",
@@ -678,7 +673,7 @@ def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:
     )
 
 
-def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
+def _check_can_travel(executor: Executor | None, trainer: Trainer) -> None:
     if isinstance(executor, (ProcessPoolExecutor, SeparateWorkers)):
         try:
             pickle.dumps(trainer)
