@@ -438,7 +438,8 @@ class AskTell:
             targets = pick.targets
         elif targets is None:
             with self._lock:
-                targets = tell.asked_targets(self.refresh(), sources)
+                asked = tell.from_scratch(self.refresh(), sources)
+            targets = None if asked is None else asked.targets
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
         order = np.argsort(evaluated)

@@ -23,7 +23,7 @@ def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | No
     """
     if isinstance(pick, Pick):
         return open_number(state, pick)
-    record = _from_scratch(state, sources)
+    record = from_scratch(state, sources)
     if record is not None:
         return record.number
     if any(row.sources == sources and row.start is None for row in state.rows):
@@ -35,7 +35,7 @@ def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | No
     return None
 
 
-def _from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | None:
+def from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | None:
     """The open pick that trains on these contexts from scratch."""
     picks = state.open_picks.values()
     return next((one for one in picks if one.sources == sources and one.start is None), None)
@@ -129,12 +129,6 @@ def _source_of(space: ContextSpace, pick: Any) -> int:
         )
     space.context(int(pick))  # refuses what is none
     return int(pick)
-
-
-def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...] | None:
-    """Targets of the open pick that trains on these from scratch."""
-    record = _from_scratch(state, sources)
-    return None if record is None else record.targets
 
 
 def reopening(state: StudyState, pick: Pick | int) -> Event:
