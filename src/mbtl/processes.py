@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import cache
 from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -213,22 +212,14 @@ def _tell(process: int, number: int) -> None:
 MANY = 10_000  # contexts from which threads earn their keep
 
 
-@contextmanager
-def threads_for(n: int) -> Iterator[None]:
+def threads_for(n: int) -> contextlib.AbstractContextManager[None]:
     """Within it, linear algebra over n contexts has as many threads as pay: one, when they are few.
 
     A pick multiplies many small matrices. Spread over threads that takes several times the
     processor time, because threads wait for each other by spinning. It counts for the whole
     process, not for the thread that asks: until the last one is out.
     """
-    if n > MANY:
-        yield
-        return
-    _SINGLE.enter()
-    try:
-        yield
-    finally:
-        _SINGLE.leave()
+    return contextlib.nullcontext() if n > MANY else _SINGLE
 
 
 class _Single:
@@ -238,13 +229,13 @@ class _Single:
         self._lock, self._inside = threading.Lock(), 0
         self._limit: Any = None
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         with self._lock:
             if not self._inside:
                 self._limit = _controller().limit(limits=1, user_api="blas")
             self._inside += 1
 
-    def leave(self) -> None:
+    def __exit__(self, *error: object) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
