@@ -136,15 +136,9 @@ def left_alone(state: StudyState, watch: Watch) -> list[int]:
 
 def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = True) -> list[str]:
     """Names of other workers that hold picks; on request only those who would be missed in time."""
-    leases = [pick.lease for pick in state.open_picks.values()]
-    held = {
-        lease.worker
-        for lease in leases
-        if lease is not None
-        and not watch.is_stale(lease)
-        and (for_ever or lease.seconds is not None)
-    }
-    return sorted(held - {worker})
+    leases = [pick.lease for pick in state.open_picks.values() if pick.lease is not None]
+    ending = [lease for lease in leases if for_ever or lease.seconds is not None]
+    return sorted({lease.worker for lease in ending if not watch.is_stale(lease)} - {worker})
 
 
 def _early_stop(state: StudyState) -> str | None:

@@ -283,21 +283,21 @@ def _evaluated(job: Job, policy: Any, every: int = 1) -> tuple[Array, float | No
 
 def _left(job: Job) -> tuple[ArtifactStore, Artifact, Mapping[str, Any]] | None:
     """The policy of this very training, by somebody who was ended after it, and its receipt."""
-    made = equipment_of(job.trainer)
+    wanted = _made_with(job).items()
     stores = () if job.store is None else (job.store, *job.spools)
     for store, place in product(stores, reversed(job.places)):
         receipt = store.receipt(place)
-        if (
-            receipt is not None
-            and receipt.get("seed") == job.seed
-            and receipt.get("format") == made["policy_format"]
-            and receipt.get("recipe", made["recipe"]) == made["recipe"]
-            and isinstance(receipt.get("sha256"), str)
-        ):
+        if receipt and wanted <= receipt.items() and isinstance(receipt.get("sha256"), str):
             with suppress(StorageError):  # of other files by now: no policy of this training
                 store.read(place, receipt["sha256"])
                 return store, Artifact(place, receipt["sha256"]), receipt
     return None
+
+
+def _made_with(job: Job) -> dict[str, Any]:
+    """What the receipt of a policy says of its training, by which it is found again."""
+    made = equipment_of(job.trainer)
+    return {"seed": job.seed, "format": made["policy_format"], "recipe": made["recipe"]}
 
 
 def _folder(job: Job, artifact: Artifact) -> Path:
@@ -437,9 +437,8 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
-    made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
-    receipt: dict[str, Any] = {"seed": job.seed, "contexts": [dict(c) for c in job.contexts]}
-    receipt |= {"format": made["policy_format"], "recipe": made["recipe"], "steps": kept.steps}
+    fill, contexts = partial(job.trainer.save, kept.policy), [dict(c) for c in job.contexts]
+    receipt = {**_made_with(job), "contexts": contexts, "steps": kept.steps}
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:
