@@ -166,7 +166,9 @@ def value_of(state: StudyState) -> float:
     -inf before the first row.
     """
     fresh = fresh_value(state)
-    return state.value() if fresh is None else fresh.value
+    if fresh is not None:
+        return fresh.value
+    return state.routing().value.value if state.rows else -np.inf
 
 
 def fresh_value(state: StudyState) -> FreshValue | None:

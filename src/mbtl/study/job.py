@@ -158,7 +158,7 @@ def perform(
     job: Job,
     on_progress: OnProgress | None = None,
     on_kept: Callable[[Kept], None] = lambda kept: None,
-    on_evaluation: Callable[[], None] | None = None,
+    on_evaluation: Callable[[], None] = lambda: None,
     on_stuck: Callable[[], None] | None = None,
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
@@ -195,8 +195,7 @@ def perform(
                 kept = replace(kept, artifact=_save(job, kept))
                 on_kept(kept)
                 _forget_partial(job)
-            if on_evaluation is not None:
-                on_evaluation()
+            on_evaluation()
             if job.rehearse and job.length != 0.0 and kept.artifact is not None:
                 stage = "loading"  # what cannot be read back is found out with the first policy
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))

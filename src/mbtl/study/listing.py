@@ -115,11 +115,10 @@ def opened(storage: str | Path, name: str | None) -> tuple[SqlLog, StudyState]:
 
 def database_at(storage: str | Path) -> str:
     """The URL of a database; of a folder that holds `study.db`, of that."""
-    place = storage
-    check_path(place)
-    if "://" not in str(storage) and from_home(storage).is_dir():
-        place = from_home(storage) / "study.db"
-    return fixed_url(place)
+    check_path(storage)
+    folder = from_home(storage)
+    is_folder = "://" not in str(storage) and folder.is_dir()
+    return fixed_url(folder / "study.db" if is_folder else storage)
 
 
 def chosen_name(address: str, name: str | None) -> str:

@@ -120,10 +120,6 @@ class StudyState:
             )
         return self._routing
 
-    def value(self) -> float:
-        """V of the told rows; see `Study.value`."""
-        return self.routing().value.value if self.rows else -np.inf
-
     def curve(self) -> Array:
         """(k,) V after each row; see `Study.curve`."""
         found = self.routing().curve if self.rows else []
