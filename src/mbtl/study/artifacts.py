@@ -142,7 +142,7 @@ class RemoteStore:
     def write(
         self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
     ) -> Artifact | None:
-        """All files, and the receipt last."""
+        """File by file, the receipt last."""
         with tempfile.TemporaryDirectory() as here:
             folder = Path(here)
             if not fill(folder):
@@ -150,7 +150,10 @@ class RemoteStore:
             made = Artifact(place, _digest(folder))
             names = regular_files(folder, "a study")
             with self._remote() as (files, root):
-                files.put(f"{folder}/", f"{root}/{place}/", recursive=True)
+                for name in names:
+                    target = f"{root}/{place}/{name}"
+                    files.makedirs(target.rpartition("/")[0], exist_ok=True)
+                    files.pipe_file(target, (folder / name).read_bytes())
                 record = {**receipt, "sha256": made.sha256, "files": names}
                 files.pipe_file(f"{root}/{place}/{RECEIPT}", json.dumps(record).encode())
         return made
