@@ -66,11 +66,10 @@ def reason_of(error: BaseException) -> str:
 
     An exit is said to be one, since `SystemExit: 0` looks as if all were well.
     """
+    said = f"{type(error).__name__}: {error}"
     if isinstance(error, SystemExit):
-        return harmless(
-            f"sys.exit({error.code!r}) was called, where it must return or raise", REASON
-        )
-    return harmless(f"{type(error).__name__}: {error}", REASON)
+        said = f"sys.exit({error.code!r}) was called, where it must return or raise"
+    return harmless(said, REASON)
 
 
 def traceback_of(error: BaseException) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from mbtl.errors import InvalidInput, StorageError, cannot_write
+from mbtl.errors import InvalidInput, StorageError, cannot_write, written
 from mbtl.settings import first_difference
 
 
@@ -43,13 +43,12 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
     """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with unfinished.open("wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except OSError as error:
-        raise cannot_write(path, error) from error
+        with written(path):
+            with unfinished.open("wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(path)
     finally:
         with contextlib.suppress(OSError):
             unfinished.unlink()
@@ -96,19 +95,17 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", blocking=False)  # ends with the process, however it ends
-        lock.acquire()
+        # ends with the process, however it ends
+        lock = FileLock(folder / ".lock", blocking=False).acquire()
     except Timeout as error:
         raise StorageError(
             f"another process works in {folder}; wait until it has ended, or choose another folder"
         ) from error
     except OSError as error:
         raise cannot_write(folder, error) from error
-    try:
+    with lock:
         _check_claim(folder, json.loads(json.dumps(settings)), what)
         yield
-    finally:
-        lock.release()
 
 
 def claim_of(folder: Path) -> dict[str, Any] | None:
@@ -123,14 +120,13 @@ def claim_of(folder: Path) -> dict[str, Any] | None:
 def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
     file = folder / "settings.json"
     try:
-        if not file.exists():
-            with whole_file(file) as writing:
-                writing.write((json.dumps(record, indent=2) + "\n").encode())
-        there = read_json(file.read_text(encoding="utf-8"))
+        with written(file):
+            if not file.exists():
+                with whole_file(file) as writing:
+                    writing.write((json.dumps(record, indent=2) + "\n").encode())
+            there = read_json(file.read_text(encoding="utf-8"))
         if not isinstance(there, dict):
             raise ValueError(f"a JSON {type(there).__name__}")
-    except OSError as error:
-        raise cannot_write(file, error) from error
     except ValueError as error:
         raise StorageError(
             f"{file} must say with which settings the folder grew, got {error}; choose another "

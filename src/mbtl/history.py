@@ -141,9 +141,8 @@ class History:
         """The history after one more training; `row` is (N,) performance, taken as exact."""
         rows = np.vstack([self.rows, np.asarray(row, dtype=np.float64)[None, :]])
         pending = tuple(p for p in self.pending if p != source)
-        errors = self.errors
-        if errors is not None:
-            errors = np.vstack([errors, np.zeros(self.n_targets)])
+        exact = np.zeros(self.n_targets)
+        errors = None if self.errors is None else np.vstack([self.errors, exact])
         return replace(
             self, sources=(*self.sources, int(source)), rows=rows, pending=pending, errors=errors
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from typing import Any, overload
 
 import numpy as np
@@ -34,8 +35,8 @@ def is_finite(number: Any, most: float = LARGEST) -> bool:
     return value is not None and abs(value) <= most
 
 
-def whole(name: str, number: Any) -> int:
-    """A whole number, as Python's own.
+def whole(name: str, number: Any, least: float = -np.inf) -> int:
+    """A whole number of `least` or more, as Python's own.
 
     Raises:
         InvalidInput: it is none.
@@ -43,9 +44,12 @@ def whole(name: str, number: Any) -> int:
     try:
         if isinstance(number, (np.ndarray, bool)):
             raise TypeError
-        return operator.index(number)
+        value = operator.index(number)
     except TypeError:
         raise InvalidInput(f"{name} must be a whole number, got {short(number)}") from None
+    if value < least:
+        raise InvalidInput(f"{name} is {least} or more, got {short(value)}")
+    return value
 
 
 @overload
@@ -62,12 +66,8 @@ def real(name: str, number: float | None) -> float | None:
     Raises:
         InvalidInput: it is none.
     """
-    value = None if number is None else _float(name, number)
-    if value is not None and not 0 < value <= LARGEST:
-        raise InvalidInput(
-            f"{name} must be finite and > 0, at most {LARGEST:g}, got {short(number)}"
-        )
-    return value
+    rule = f"finite and > 0, at most {LARGEST:g}"
+    return _number(name, number, lambda value: 0 < value <= LARGEST, rule)
 
 
 def finite(name: str, number: float | None, least: float = -LARGEST) -> float | None:
@@ -76,12 +76,8 @@ def finite(name: str, number: float | None, least: float = -LARGEST) -> float | 
     Raises:
         InvalidInput: it is none.
     """
-    value = None if number is None else _float(name, number)
-    if value is not None and not least <= value <= LARGEST:
-        raise InvalidInput(
-            f"{name} must be finite, from {least:g} to {LARGEST:g}, got {short(number)}"
-        )
-    return value
+    rule = f"finite, from {least:g} to {LARGEST:g}"
+    return _number(name, number, lambda value: least <= value <= LARGEST, rule)
 
 
 def floats(given: Any) -> NDArray[np.float64]:
@@ -129,8 +125,12 @@ def short(value: Any) -> str:
     return shown if len(shown) <= 60 else f"{shown[:57]}..."
 
 
-def _float(name: str, number: Any) -> float:
+def _number(name: str, number: Any, holds: Callable[[float], bool], rule: str) -> float | None:
+    """None, or a number that keeps a rule."""
+    if number is None:
+        return None
     value = float_of(number)
-    if value is None:
-        raise InvalidInput(f"{name} must be a number, got {short(number)}")
+    if value is None or not holds(value):
+        rule = "a number" if value is None else rule
+        raise InvalidInput(f"{name} must be {rule}, got {short(number)}")
     return value

@@ -13,16 +13,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import cache
 from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
+from threadpoolctl import ThreadpoolController
 
 GRACE = 5.0
 """Seconds in which a worker that is to end may close its simulators; then it is killed."""
@@ -103,10 +101,9 @@ class SeparateWorkers(Executor):
         """End the process that does a job, and what it has started."""
         slot = next(i for i, one in enumerate(self._jobs) if one is job)
         pool, self._pools[slot], self._jobs[slot] = self._pools[slot], None, None
-        processes = list((pool._processes or {}).values()) if pool is not None else []
-        for process in processes:
-            _tell_group(process, _KILL)
         if pool is not None:
+            for process in list((pool._processes or {}).values()):
+                _tell_group(process, _KILL)
             pool.shutdown(wait=False)
 
     def end(self) -> None:
@@ -215,22 +212,14 @@ def _tell(process: int, number: int) -> None:
 MANY = 10_000  # contexts from which threads earn their keep
 
 
-@contextmanager
-def threads_for(n: int) -> Iterator[None]:
+def threads_for(n: int) -> contextlib.AbstractContextManager[None]:
     """Within it, linear algebra over n contexts has as many threads as pay: one, when they are few.
 
     A pick multiplies many small matrices. Spread over threads that takes several times the
     processor time, because threads wait for each other by spinning. It counts for the whole
     process, not for the thread that asks: until the last one is out.
     """
-    if n > MANY:
-        yield
-        return
-    _SINGLE.enter()
-    try:
-        yield
-    finally:
-        _SINGLE.leave()
+    return contextlib.nullcontext() if n > MANY else _SINGLE
 
 
 class _Single:
@@ -240,13 +229,13 @@ class _Single:
         self._lock, self._inside = threading.Lock(), 0
         self._limit: Any = None
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         with self._lock:
             if not self._inside:
                 self._limit = _controller().limit(limits=1, user_api="blas")
             self._inside += 1
 
-    def leave(self) -> None:
+    def __exit__(self, *error: object) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
@@ -259,6 +248,5 @@ _SINGLE = _Single()
 @cache
 def _controller() -> ThreadpoolController:
     import scipy.linalg  # noqa: F401  its libraries are to be among those found
-    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -40,16 +40,6 @@ Inside = tuple[int, ...]
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 
-def described(value: Any) -> Any:
-    """Any value as it will read back from a log: equal values, equal descriptions.
-
-    Numbers of numpy are numbers, arrays are lists (large ones a digest), classes and functions of
-    installed packages are names, and own functions are their code with the plain values that they
-    hold and use.
-    """
-    return _described(value, ())
-
-
 def described_code(value: Any) -> dict[str, Any] | None:
     """The code of a user's function or class, and of what it uses of its own module.
 
@@ -88,11 +78,36 @@ def differences(
             yield f"{path}{key}", was, now
 
 
+def changed_code(known: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
+    """What changed in a user's own code, for people.
+
+    Args:
+        known: descriptions of code, by the role that it has.
+        given: of today.
+    """
+    found = []
+    for path, was, now in differences(known, given):
+        role, *names = [part for part in path.split(".") if part != "code"]
+        said = f"`{'.'.join(names)}`, which `{role}` uses" if names else f"`{role}`"
+        values = [one for one in (was, now) if one is not None and not str(one).startswith(CODE)]
+        found.append(f"{said} (was {was!r}, is {now!r})" if names and len(values) > 1 else said)
+    return found
+
+
 # ---- values ------------------------------------------------------------------------------------
 
 
-def _described(value: Any, inside: Inside) -> Any:  # noqa: C901  # one line per kind of value
-    """`described`, of what is part of others."""
+def described(value: Any, inside: Inside = ()) -> Any:  # noqa: C901  # one line per kind of value
+    """Any value as it will read back from a log: equal values, equal descriptions.
+
+    Numbers of numpy are numbers, arrays are lists (large ones a digest), classes and functions of
+    installed packages are names, and own functions are their code with the plain values that they
+    hold and use.
+
+    Args:
+        value: to describe.
+        inside: addresses of what it is part of.
+    """
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, enum.Enum):
@@ -103,7 +118,7 @@ def _described(value: Any, inside: Inside) -> Any:  # noqa: C901  # one line per
         return float(value) if math.isfinite(value) else repr(float(value))
     if id(value) in inside or len(inside) > _DEEP:
         return type(value).__qualname__
-    inner = functools.partial(_described, inside=(*inside, id(value)))
+    inner = functools.partial(described, inside=(*inside, id(value)))
     if isinstance(value, Mapping):
         return {k if isinstance(k, str) else _text(inner(k)): inner(v) for k, v in value.items()}
     if isinstance(value, Set):

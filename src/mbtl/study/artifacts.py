@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from mbtl.errors import InvalidInput, StorageError, missing_extra
+from mbtl.errors import InvalidInput, StorageError, needs
 from mbtl.files import from_home, inside, read_json, regular_files, sync_entries, sync_folder
 from mbtl.study.database import check_path, database_file
 
@@ -198,10 +198,8 @@ class RemoteStore:
 
     @contextmanager
     def _remote(self) -> Iterator[tuple[Any, str]]:
-        try:
+        with needs("fsspec", "cluster"):
             import fsspec
-        except ImportError as error:
-            raise missing_extra("fsspec", "cluster") from error
         try:
             yield fsspec.core.url_to_fs(self.url)
         except StorageError:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from mbtl.contexts import middle_of
 from mbtl.errors import InvalidInput
-from mbtl.history import History
 from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, open_candidates
@@ -56,32 +55,23 @@ def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -
         return Event("claimed", {"pick": left[0], "seconds": seconds, **holder})
     reason = stop_reason(state)
     if reason is not None:
-        raise nothing_to_ask(state, reason)
+        held = len(state.open_picks)
+        if held and reason == state.stopped:
+            raise StudyWaiting(
+                f"nothing can be asked until one of the {held} picks under way is told: {reason}"
+            )
+        waiting = f"; {held} picks are still under way" if held else ""
+        raise StudyFinished(f"the study is finished: {reason}{waiting}")
     if state.proposing is not None and not watch.is_stale(state.proposing):
         return None
     return Event("claimed", {"pick": len(state.picks), "seconds": PROPOSING, **holder})
 
 
-def nothing_to_ask(state: StudyState, reason: str) -> StudyFinished:
-    """The error that says whether that is so for ever."""
-    held = len(state.open_picks)
-    if held and reason == state.stopped:
-        return StudyWaiting(
-            f"nothing can be asked until one of the {held} picks under way is told: {reason}"
-        )
-    waiting = f"; {held} picks are still under way" if held else ""
-    return StudyFinished(f"the study is finished: {reason}{waiting}")
-
-
 def stop_reason(state: StudyState) -> str | None:
     """Why nothing more can be asked; None while something can."""
-    reason = _early_stop(state) or state.stopped
-    if reason is not None:
+    reason = _early_stop(state) or state.stopped or spent(state)
+    if reason is not None or state.spec.any_training:  # where something may always go on
         return reason
-    if (reason := spent(state)) is not None:
-        return reason
-    if state.spec.any_training:  # there is always something that may be trained for longer
-        return None
     try:
         open_candidates(state.problem(), state.history().specialists())
     except Exhausted as error:
@@ -146,15 +136,9 @@ def left_alone(state: StudyState, watch: Watch) -> list[int]:
 
 def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = True) -> list[str]:
     """Names of other workers that hold picks; on request only those who would be missed in time."""
-    leases = [pick.lease for pick in state.open_picks.values()]
-    held = {
-        lease.worker
-        for lease in leases
-        if lease is not None
-        and not watch.is_stale(lease)
-        and (for_ever or lease.seconds is not None)
-    }
-    return sorted(held - {worker})
+    leases = [pick.lease for pick in state.open_picks.values() if pick.lease is not None]
+    ending = [lease for lease in leases if for_ever or lease.seconds is not None]
+    return sorted({lease.worker for lease in ending if not watch.is_stale(lease)} - {worker})
 
 
 def _early_stop(state: StudyState) -> str | None:
@@ -201,11 +185,15 @@ def propose(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
         if spec.any_training:  # for the moment: what is under way may be gone on with
             return str(error)
         raise StudyFinished(f"the study is finished: {error}") from error
-    _check_proposal(state, seen, strategy, proposal)
+    check_proposal(strategy, proposal, seen, any_training=spec.any_training)
+    if proposal.targets is not None:
+        checked_targets(proposal.targets, problem.n)
+    facts = _facts(state, proposal)
+    if spec.any_training:
+        _check_training(state, name_of(strategy), proposal, facts)
     enough = _enough(spec, proposal)
     if enough is not None and len(known) >= LEAST_ROWS:
         return enough
-    facts = _facts(state, proposal)
     left = state.cost_left
     if spec.costs is not None and state.usual_cost(state.planned(facts)) > left:
         return (
@@ -217,7 +205,7 @@ def propose(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
 
 def _facts(state: StudyState, proposal: Proposal) -> dict[str, Any]:
     """As they are logged."""
-    spec, sources = state.spec, proposal.contexts
+    sources = proposal.contexts
     facts: dict[str, Any] = {
         "pick": len(state.picks),
         "sources": list(sources),
@@ -227,13 +215,39 @@ def _facts(state: StudyState, proposal: Proposal) -> dict[str, Any]:
         "acquisition": proposal.acquisition,
         "notes": list(proposal.notes),
     }
-    targets = proposal.targets
-    if targets is None and spec.eval_targets is not None:
-        middle = middle_of(sources, spec.space.steps)
-        targets = spread_targets(state.problem(), middle, spec.eval_targets)
+    targets = usual_targets(state, sources) if proposal.targets is None else proposal.targets
     if targets is not None:
         facts["targets"] = sorted(int(target) for target in targets)
     return facts
+
+
+def usual_targets(state: StudyState, sources: Sequence[int]) -> tuple[int, ...] | None:
+    """Contexts that a policy trained on `sources` is evaluated on, if nobody says; None: all."""
+    if state.spec.eval_targets is None:
+        return None
+    middle = middle_of(sources, state.spec.space.steps)
+    return spread_targets(state.problem(), middle, state.spec.eval_targets)
+
+
+def settled(
+    now: StudyState, moment: StudyState, found: dict[str, Any] | str, holder: Mapping[str, Any]
+) -> Event | None:
+    """The event that records what was proposed; None: somebody else does it, or it is outdated.
+
+    Args:
+        now: the newest state.
+        moment: for which it was found, see `propose`.
+        found: the facts of the next pick, or why there is none.
+        holder: who found it, and is to have the pick.
+    """
+    if not now.is_proposed_with(holder["token"]):
+        return None
+    news = (len(moment.rows), len(moment.failures)) != (len(now.rows), len(now.failures))
+    if isinstance(found, str):  # with news, the prediction did not know of them
+        return None if news else Event("stopped", {"reason": found})
+    if news and not is_open(now, found):
+        return None
+    return Event("asked", {**found, **holder})
 
 
 def _within(state: StudyState, facts: dict[str, Any]) -> dict[str, Any] | str:
@@ -256,19 +270,11 @@ def _within(state: StudyState, facts: dict[str, Any]) -> dict[str, Any] | str:
     return {**facts, "targets": sorted(targets)}
 
 
-def _check_proposal(state: StudyState, seen: History, strategy: Selector, proposal: Any) -> None:
-    """A user's own strategy may give anything."""
-    check_proposal(strategy, proposal, seen, any_training=state.spec.any_training)
-    if proposal.targets is not None:
-        checked_targets(proposal.targets, seen.n_targets)
-    if state.spec.any_training:
-        _check_training(state, name_of(strategy), proposal)
-
-
-def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
+def _check_training(
+    state: StudyState, name: str, proposal: Proposal, facts: Mapping[str, Any]
+) -> None:
     """Whether the trainer can do what is asked, and it is new and can be paid."""
     spec, seen, start, length = state.spec, state.history(), proposal.start, proposal.length
-    facts = _facts(state, proposal)
     pick = state.planned(facts)
     asked: dict[Ability, bool] = {
         "sets": len(proposal.contexts) > 1 and length != 0.0,

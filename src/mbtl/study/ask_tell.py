@@ -12,23 +12,24 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
+from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMismatch
+from mbtl.errors import InvalidInput, Notice, StorageError, StudyError, StudyMismatch, few
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.plain import finite, is_finite, short, whole
+from mbtl.portfolio import Portfolio
 from mbtl.routing import Routing
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.settings import first_difference
+from mbtl.settings import changed_code, first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Cost, Steps
@@ -40,7 +41,6 @@ from mbtl.study.job import Kept
 from mbtl.study.leases import Lease, Presence, Watch, new_worker
 from mbtl.study.problem import Beside
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
-from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
@@ -53,10 +53,6 @@ from mbtl.trainers.contract import (
     equipment_of,
     recipe_digest,
 )
-
-if TYPE_CHECKING:
-    from mbtl.portfolio import Portfolio
-
 
 P = ParamSpec("P")
 
@@ -269,8 +265,6 @@ class AskTell:
             StorageError: a policy's folder is not inside the study's, or is reached by a link, or
                 a policy is not the one that was told.
         """
-        from mbtl.portfolio import Portfolio
-
         rows, spec = self.refresh().rows, self.spec
         if not rows:
             raise StudyError(
@@ -280,7 +274,6 @@ class AskTell:
             self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
         ]
-        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         policy_format = str((self.state.equipment or {}).get("policy_format", "custom"))
         if trainer is None and policy_format == "custom":
             trainer = self.trainer
@@ -297,7 +290,7 @@ class AskTell:
             in_memory=dict(self.policies),
             sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
             cmdp=spec.problem or None,
-            metadata={"study": self.name, **made},
+            metadata={"study": self.name, "selector": spec.selector, "settings": spec.settings},
             trust=trust,
         )
 
@@ -383,8 +376,6 @@ class AskTell:
         Raises:
             StudyError: it is not open, or somebody took it over.
         """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
 
     # ---- telling ------------------------------------------------------------------------------
@@ -447,7 +438,8 @@ class AskTell:
             targets = pick.targets
         elif targets is None:
             with self._lock:
-                targets = tell.asked_targets(self.refresh(), sources)
+                asked = tell.from_scratch(self.refresh(), sources)
+            targets = None if asked is None else asked.targets
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
         order = np.argsort(evaluated)
@@ -464,14 +456,10 @@ class AskTell:
             "state_sha256": None if training_state is None else training_state.sha256,
             "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
         }
-        if isinstance(pick, Pick) and pick.token:
-            data["token"] = pick.token
         row = 0
 
-        def told(state: StudyState) -> Event:
+        def told(state: StudyState) -> dict[str, Any]:
             nonlocal row
-            if isinstance(pick, Pick) and tell.is_late(state, pick):
-                return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
             row = len(state.rows)
             number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
@@ -479,10 +467,10 @@ class AskTell:
             made = self._made
             if made is None and state.equipment is not None:
                 made = recipe_digest(state.equipment)
-            return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
+            return {"pick": number, "cost": spent, "recipe": made}
 
         with self._lock:  # so that no other thread takes a row away meanwhile
-            in_time = self._commit(told).kind == "told"
+            in_time = self._answer("told", pick, data, told, arrays)
             if policy_object is not None and in_time:
                 self.policies[row] = policy_object
         return in_time
@@ -553,8 +541,9 @@ class AskTell:
         Returns:
             False where it came too late; see `tell`.
         """
-        facts = {"steps": finite("steps", steps, 0.0), "pruned": pruned, "again": again}
-        return self._answer("failed", pick, reason, traceback, **facts)
+        data: dict[str, Any] = {"reason": reason, "traceback": traceback}
+        data |= {"steps": finite("steps", steps, 0.0), "pruned": pruned, "again": again}
+        return self._answer("failed", pick, data)
 
     def defer(
         self, pick: Pick, reason: str, *, traceback: str = "", steps: float | None = None
@@ -563,8 +552,8 @@ class AskTell:
 
         Its training has had `steps` environment steps; None: not known.
         """
-        steps = finite("steps", steps, 0.0)
-        return self._answer("deferred", pick, reason, traceback, steps=steps)
+        data = {"reason": reason, "traceback": traceback, "steps": finite("steps", steps, 0.0)}
+        return self._answer("deferred", pick, data)
 
     def retry(self, pick: Pick | int) -> None:
         """Open a failed pick again: the next `ask` hands it out, and it spends no further unit.
@@ -578,8 +567,6 @@ class AskTell:
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
-        if not isinstance(pick, Pick):
-            pick = whole("the number of a pick", pick)
         event = self._commit(lambda state: tell.reopening(state, pick))
         self.untold.pop(event.data["pick"], None)
 
@@ -613,7 +600,12 @@ class AskTell:
             if self.has_succeeded and "code" in known:  # what only failed may be mended
                 changes = changed_code(known["code"], code)
             if changes and not accept_changes:
-                raise code_mismatch(changes)
+                raise StudyMismatch(
+                    "the policies of a study are made and evaluated by one code, and since they "
+                    f"were made {few(changes)} changed; take the old code back, start another "
+                    "study (--new, or another name), or mix them knowingly, "
+                    "study.equip(trainer, accept_changes=True) (--accept-changes)"
+                )
         facts = {**given, **({"accepted": changes} if changes else {})}
         self._commit(lambda _: Event("equipped", facts))
         if not begun:
@@ -695,6 +687,8 @@ class AskTell:
         """
         others, units = dict(baselines or {}), {} if metrics is None else dict(self.beside.metrics)
         arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
+        data = {"episodes": arrays["served"].shape[-1], "best_single": int(best_single)}
+        more = {"baselines": [*others], "metrics": units, "lost": [int(target) for target in lost]}
         rows = len(self.refresh().rows) if rows is None else rows
         if others:
             arrays["baselines"] = np.array([*others.values()], float)
@@ -707,17 +701,8 @@ class AskTell:
                     f"fresh returns are of the {told} policies told, got those of {rows}; evaluate "
                     "again"
                 )
-            data: dict[str, Any] = {
-                "episodes": arrays["served"].shape[-1],
-                "best_single": int(best_single),
-            }
-            if others:
-                data["baselines"] = [*others]
-            if units:
-                data["metrics"] = units
-            if len(lost):
-                data["lost"] = [int(target) for target in lost]
-            return Event("reported", data, arrays)
+            given = {name: facts for name, facts in more.items() if facts}
+            return Event("reported", {**data, **given}, arrays)
 
         self._commit(reported)
 
@@ -735,7 +720,7 @@ class AskTell:
     # ---- inside -------------------------------------------------------------------------------
 
     def _ask(self, lease: float | None) -> Pick:
-        turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
+        turn = _Turn(_LONGEST_PAUSE)
         watch, watched = self.watch(), time.monotonic()
 
         def wanted(state: StudyState) -> Event | None:
@@ -744,31 +729,24 @@ class AskTell:
         while True:
             if time.monotonic() - watched > _WATCH:
                 watch, watched = self.watch(), time.monotonic()
-            try:
-                with self._lock:
-                    claim = self._attempt(wanted)
-                    following = len(self._state.picks)
-            except Conflict:
-                retry.wait()
-                continue
+            claim = self._commit(wanted)
             if claim is None:  # somebody proposes just now
                 turn.wait()
                 continue
             if claim.kind == "released":
                 continue
-            number = claim.data["pick"]
-            if number == following and not self._propose(claim.data["token"], lease):
+            number, token = claim.data["pick"], claim.data["token"]
+            if number == len(self._state.picks) and not self._propose(token, lease):
                 continue
             given = self._pick(self._state.picks[number])
-            if given.token == claim.data["token"]:
+            if given.token == token:
                 self._warn_by_hand(given)
                 return given
 
     def _warn_by_hand(self, pick: Pick) -> None:
         """Before the first training: what is not tried; nobody else says it."""
-        if pick.number or self.trainer is None or not self.spec.any_training:
-            return
-        if not self._state.problem().assumed:
+        by_hand = self.trainer is not None and self.spec.any_training
+        if pick.number or not (by_hand and self._state.problem().assumed):
             return
         for note in self._state.picks[0].notes:
             try:
@@ -783,43 +761,28 @@ class AskTell:
         Raises:
             StudyFinished: there is none, or it would not be worth it.
         """
-        done = False
+        holder = {"worker": self.worker, "token": token, "seconds": lease}
+        event: Event | None = None
         try:
-            while not done:
+            while event is None:
                 with self._lock:
-                    state = self.refresh()
-                    if state.proposing is None or state.proposing.token != token:
+                    if not self.refresh().is_proposed_with(token):
                         return False
-                    known = len(state.rows), len(state.failures)
-                    moment = state.copied()
+                    moment = self._state.copied()
                 found = ask.propose(moment, self.selector)  # others may tell meanwhile
-                holder = {"worker": self.worker, "token": token, "seconds": lease}
-
-                def settled(
-                    now: StudyState, found: Any = found, known: Any = known, holder: Any = holder
-                ) -> Event | None:
-                    if now.proposing is None or now.proposing.token != token:
-                        return None
-                    news = known != (len(now.rows), len(now.failures))
-                    if isinstance(found, str):  # with news, the prediction did not know of them
-                        return None if news else Event("stopped", {"reason": found})
-                    if news and not ask.is_open(now, found):
-                        return None
-                    return Event("asked", {**found, **holder})
-
-                done = self._commit(settled) is not None
-                if done and isinstance(found, str):
-                    return False  # who asks again hears why, or of what was told meanwhile
+                event = self._commit(
+                    partial(ask.settled, moment=moment, found=found, holder=holder)
+                )
         finally:
-            if not done:
+            if event is None:
                 self._stop_proposing(token)
-        return True
+        return event.kind == "asked"  # else who asks again hears why, or of what was told meanwhile
 
     def _stop_proposing(self, token: str) -> None:
         """Let the next asker propose at once, whatever has happened here."""
 
         def released(state: StudyState) -> Event | None:
-            mine = state.proposing is not None and state.proposing.token == token
+            mine = state.is_proposed_with(token)
             return Event("released", {"pick": len(state.picks)}) if mine else None
 
         with contextlib.suppress(StorageError):  # it ends by the clock, too
@@ -838,7 +801,7 @@ class AskTell:
             record.start,
             record.done,
             None if record.whole else record.length,
-            record.tokens[-1] if record.tokens else "",
+            record.tokens[-1] if record.leases else "",
         )
 
     def _commit(self, decide: Callable[[StudyState], Decided]) -> Decided:
@@ -886,16 +849,30 @@ class AskTell:
         return None if lease is None else lease.worker
 
     def _answer(
-        self, kind: Kind, pick: Pick, reason: str, traceback: str, **facts: float | None
+        self,
+        kind: Kind,
+        pick: Any,
+        data: dict[str, Any],
+        more: Callable[[StudyState], dict[str, Any]] | None = None,
+        arrays: Mapping[str, Array] = {},
     ) -> bool:
-        data: dict[str, Any] = {"reason": reason, "traceback": traceback, **facts}
-        if pick.token:
+        """Record an answer; False: it comes too late.
+
+        Args:
+            kind: of the event.
+            pick: what is answered.
+            data: facts.
+            more: those that the newest state decides; None: which open pick it is, alone.
+            arrays: of the event.
+        """
+        if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
 
         def answered(state: StudyState) -> Event:
-            if tell.is_late(state, pick):
-                return Event("late", {**data, "pick": pick.number, "outcome": kind})
-            return Event(kind, {**data, "pick": tell.open_number(state, pick)})
+            if isinstance(pick, Pick) and tell.is_late(state, pick):
+                return Event("late", {**data, "pick": pick.number, "outcome": kind}, arrays)
+            last = {"pick": tell.open_number(state, pick)} if more is None else more(state)
+            return Event(kind, {**data, **last}, arrays)
 
         return self._commit(answered).kind == kind
 

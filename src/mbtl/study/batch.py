@@ -83,7 +83,7 @@ class Batches:
     _died: set[int] = field(default_factory=set)
     _in_a_row: int = 0
     _given_up: set[int] = field(default_factory=set)
-    _ending: bool = False
+    _ending: BaseException | None = None
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
 
@@ -94,26 +94,21 @@ class Batches:
 
         Args:
             size: trainings at a time.
-            ask: gives the next pick; None: there is none.
+            ask: gives the next pick, which the keeper holds; None: there is none.
 
         Raises:
             TrainingFailed: failures end the run. What was under way is told.
         """
-        waiting: dict[int, Pick] = {}
-        outcomes = self._outcomes(size, ask, waiting)
-        end: Exception | None = None
-        self._failed = None
-        self._ending = False
+        self._failed = self._ending = None
         try:
-            for pick, outcome in outcomes:
+            for pick, outcome in self._outcomes(size, ask):
                 trouble = outcome if isinstance(outcome, Trouble) else None
                 if trouble is not None and isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
                     self._keep(pick, trouble.kept)
-                    end, self._ending = end or trouble.error, True
+                    self._ending = self._ending or trouble.error
                     continue
                 again = trouble is not None and self._may_try_again(pick, trouble)
                 in_time = outcome is not None and self._record(pick, outcome, again=again)
-                waiting.pop(pick.number, None)
                 if not in_time:
                     self._lose(pick)
                 elif trouble is None:
@@ -129,18 +124,18 @@ class Batches:
                     if self._in_a_row > self.failures_allowed:
                         failures = "failure" if self._in_a_row == 1 else "failures"
                         row = f"{self._in_a_row} {failures} in a row"
-                        end, self._ending = end or self._end(pick, trouble, row), True
+                        self._ending = self._ending or self._end(pick, trouble, row)
         except _CallbackError as wrapped:
             raise wrapped.error from None
         finally:
             for future in self._under_way:  # those that have not begun will not
                 future.cancel()
             self._under_way.clear()
-            self._give_back([*waiting.values()])
-        if end is None and self._failed is not None and self._in_doubt:
-            end = self._end(*self._failed, "nothing has succeeded yet")
-        if end is not None:
-            raise end
+            self._give_back([pick for pick in self.keeper.held() if pick not in self.held])
+        if self._ending is None and self._failed is not None and self._in_doubt:
+            self._ending = self._end(*self._failed, "nothing has succeeded yet")
+        if self._ending is not None:
+            raise self._ending
 
     def give_back_held(self) -> bool:
         """Let go of the picks whose policies could not be evaluated; False when there are none."""
@@ -151,7 +146,7 @@ class Batches:
     # ---- trainings under way -----------------------------------------------------------------
 
     def _outcomes(
-        self, size: int, ask: Callable[[], Pick | None], waiting: dict[int, Pick]
+        self, size: int, ask: Callable[[], Pick | None]
     ) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, see `do`; None where it is somebody else's by now.
 
@@ -162,7 +157,6 @@ class Batches:
                 pick = ask()
                 if pick is None:
                     break
-                waiting[pick.number] = pick
                 self._announce_pick(pick)
                 future = self._begun(pick, self._job(pick))
                 self._under_way[future] = pick, time.monotonic()
@@ -273,7 +267,6 @@ class Batches:
     def _job(self, pick: Pick) -> Job:
         study = self.study
         targets = range(study.space.n) if pick.targets is None else pick.targets
-        start, state = self._begun_with(pick)
         return Job(
             self.trainer,
             pick.contexts,
@@ -286,18 +279,17 @@ class Batches:
             self.rehearse and not study.has_succeeded,
             spools_of(study.database) if study.is_durable else (),
             self.timeout,
-            start,
+            self._begun_with(pick),
             pick.done,
             pick.length,
-            state,
             study.spec.any_training and pick.trains,
             study.spec.steps is not None,
         )
 
-    def _begun_with(self, pick: Pick) -> tuple[Kept | None, Artifact | None]:
-        """The policy that a training begins with, and its state where it goes on or inherits."""
+    def _begun_with(self, pick: Pick) -> Kept | None:
+        """The policy that a training begins with, with its state where it goes on or inherits."""
         if pick.start is None:
-            return None, None
+            return None
         place = self.study.state.place_of(pick.start)
         if place < 0:
             raise StudyError(
@@ -309,8 +301,7 @@ class Batches:
         state = None
         if row.state and (pick.done or (pick.trains and "inherit" in self.trainer.takes)):
             state = Artifact(row.state, row.state_sha256 or "")
-        policy = self.study.policies.get(place)
-        return Kept(policy, kept, row.steps), state
+        return Kept(self.study.policies.get(place), kept, row.steps, state)
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
@@ -463,7 +454,8 @@ def places_of(study: AskTell, pick: Pick) -> list[str]:
     Below the study's folder; studies that share it, or a database, keep apart by their uid.
     """
     record = study.state.picks[pick.number]
-    own = f"source-{pick.source:04d}" if record.is_specialist else f"pick-{pick.number:04d}"
+    alone = study.state.training_of(record).is_specialist
+    own = f"source-{pick.source:04d}" if alone else f"pick-{pick.number:04d}"
     base = f"policies/{study.state.uid}/{own}"
     tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

@@ -34,8 +34,8 @@ class Steps:
     def __post_init__(self) -> None:
         for name in ("total", "unit", "horizon"):
             value = getattr(self, name)
-            if value is not None and whole(f"{name} of Steps", value) < 1:
-                raise InvalidInput(f"{name} of Steps is a number of 1 or more, got {short(value)}")
+            if value is not None:
+                whole(f"{name} of Steps", value, 1)
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class Cost:
     def __post_init__(self) -> None:
         if not (is_finite(self.total) and self.total > 0):
             raise InvalidInput(f"total of Cost is a finite number > 0, got {short(self.total)}")
-        if self.trainings is not None and whole("trainings of Cost", self.trainings) < 1:
-            raise InvalidInput(f"trainings of Cost are 1 or more, got {short(self.trainings)}")
+        if self.trainings is not None:
+            whole("trainings of Cost", self.trainings, 1)
 
 
 @dataclass(frozen=True)

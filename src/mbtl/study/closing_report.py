@@ -10,7 +10,7 @@ Notation (shapes): k policies in training order, N contexts, n of them played, E
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.routing import SURE
 from mbtl.seeds import Purpose, derive_seed
+from mbtl.study.problem import Beside
 from mbtl.study.state import StudyState
 
 Indices = NDArray[np.intp]
@@ -134,12 +135,7 @@ def plan_of(state: StudyState, *, whole: bool = False) -> ReportPlan:
 
 
 def plan_to_do(
-    state: StudyState,
-    in_memory: Iterable[int],
-    *,
-    whole: bool = False,
-    baselines: Collection[str] = (),
-    metrics: Collection[str] = (),
+    state: StudyState, in_memory: Container[int], beside: Beside, *, whole: bool
 ) -> ReportPlan | None:
     """The plan, if it is not done already and every policy that it needs is at hand.
 
@@ -148,21 +144,20 @@ def plan_to_do(
     Args:
         state: of the study.
         in_memory: places of the policies that are there, though not saved.
+        beside: what is to be measured, and played beside them; the plan does not count that yet.
         whole: as of `plan_of`.
-        baselines: names of what is to be played beside them; the plan does not count them yet.
-        metrics: names of what is to be measured.
     """
     if not state.rows or state.spec.risk < 1.0:
         return None
     fresh, plan = state.fresh, plan_of(state, whole=whole)
-    known = fresh is not None and {*baselines} <= {*fresh.baselines}
-    if fresh is not None and known and {*metrics} <= {*fresh.units}:
+    known = fresh is not None and {*beside.baselines} <= {*fresh.baselines}
+    if fresh is not None and known and {*beside.metrics} <= {*fresh.units}:
         seen = _played(fresh.served)
         seen[list(fresh.lost)] = True
         if not whole or seen[plan.contexts].all():
             return None
-    saved = {place for place, row in enumerate(state.rows) if row.policy}
-    return plan if saved.union(in_memory).issuperset(plan.policies) else None
+    there = all(state.rows[place].policy or place in in_memory for place in plan.policies)
+    return plan if there else None
 
 
 def value_of(state: StudyState) -> float:
@@ -171,7 +166,9 @@ def value_of(state: StudyState) -> float:
     -inf before the first row.
     """
     fresh = fresh_value(state)
-    return state.value() if fresh is None else fresh.value
+    if fresh is not None:
+        return fresh.value
+    return state.routing().value.value if state.rows else -np.inf
 
 
 def fresh_value(state: StudyState) -> FreshValue | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,10 @@ from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
 from mbtl.study.artifacts import policy_store
 from mbtl.study.budget import Cost, Steps
-from mbtl.study.checks import replay
 from mbtl.study.database import database_file, fixed_url, shown
 from mbtl.study.events import Event
-from mbtl.study.listing import chosen_name, database_at
+from mbtl.study.listing import opened
 from mbtl.study.problem import Beside, Problem, ProblemFacts, check_problem, facts_of
-from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec, check_spec
 from mbtl.study.state import StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, names_in
@@ -38,6 +37,8 @@ EPISODES = 10
 """Of a policy on a target, as expected before the first where the trainer does not say."""
 NO_LIMIT = 10**6
 """Units of a study that its cost ends."""
+FROM = "from"
+"""Key of the text by which a user named a selector of their own."""
 
 
 @dataclass(frozen=True)
@@ -295,20 +296,14 @@ def load_study(
         InvalidInput: there are several and no name is given, or none has that name.
         StudyMismatch: it is a study of another problem, or with another strategy.
     """
-    place = database_at(storage)
-    name = chosen_name(place, name)
-    log = SqlLog(place, name)
-    events = log.read()
-    if not events:
-        raise StudyError(f"there is no study {name!r} in {shown(place)}")
-    state = replay(events)
+    log, state = opened(storage, name)
     spec, beside = state.spec, Beside()
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
         check_problem(spec, facts)
         trainer, beside = facts.trainer, facts.beside
     chosen = _strategy_then(spec, strategy)
-    folder = policy_store(place, artifacts)
+    folder, name = policy_store(log.url, artifacts), log.study
     return Study(log, chosen, folder=folder, name=name, trainer=trainer, beside=beside, state=state)
 
 
@@ -361,6 +356,45 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
             f"{old}, got {new}{how}; repeat the old setting, or begin anew with --new (or "
             "another name)"
         )
+
+
+# ---- a strategy, as a log says it ----------------------------------------------------------------
+
+
+def describe_selector(selector: Selector, named: str | Selector | None = None) -> dict[str, Any]:
+    """Name and settings of a selector, JSON-able and the same in every process.
+
+    Args:
+        selector: the object.
+        named: what the user gave; a text such as "my.py:Mine" is kept, so that people find it.
+    """
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            held = {f: getattr(value, f.name) for f in dataclasses.fields(value)}
+            return {f.name: plain(given) for f, given in held.items() if given != _default(f)}
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        return described(value)
+
+    is_record = dataclasses.is_dataclass(selector)
+    settings = plain(selector) if is_record else {"class": type(selector).__qualname__}
+    own = {FROM: named} if isinstance(named, str) and ":" in named else {}
+    return {**settings, **own, "name": selector.name}
+
+
+def without_origin(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What two descriptions of one selector share, wherever it was found."""
+    return {key: value for key, value in description.items() if key != FROM}
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """What a field has where nothing is given; equal to nothing where it must be.
+
+    Only changes are stored, so a selector may gain a setting and old studies still open.
+    """
+    made = field.default_factory
+    return field.default if made is dataclasses.MISSING else made()
 
 
 # ---- settings as they were given: made plain, or refused with the rule that they break ---------

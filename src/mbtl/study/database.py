@@ -6,11 +6,11 @@ import math
 import random
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from logging import getLogger
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable, few
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import sqlalchemy as sa
 
 _logger = getLogger(__name__)
-
-T = TypeVar("T")
 
 _BUSY_SECONDS = 60.0
 
@@ -352,17 +350,6 @@ class Patience:
         except BaseException:  # an interrupt: who wants to end has no patience left
             self._since = -math.inf
             raise
-
-    def through(self, work: Callable[[], T]) -> T:
-        """What `work` gives, which is done again where the server did not answer."""
-        while True:
-            try:
-                done = work()
-            except Unreachable as error:
-                self.wait(error)
-            else:
-                self.answered()
-                return done
 
     def answered(self) -> None:
         """It is there."""

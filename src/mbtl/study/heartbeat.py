@@ -59,6 +59,11 @@ class Keeper:
         with self._lock:
             self._held.pop(pick.number, None)
 
+    def held(self) -> list[Pick]:
+        """All that are worked on, or wait here."""
+        with self._lock:
+            return [*self._held.values()]
+
     def is_lost(self, pick: Pick) -> bool:
         """True when somebody took it over or away: its training is for nothing."""
         return pick.token in self._lost
@@ -82,7 +87,6 @@ class Keeper:
                 held = self._held.get(event.data["pick"])
             if held is not None and event.data.get("token") != held.token:
                 self._lost.add(held.token)
-        with self._lock:
-            alive = [pick for pick in self._held.values() if pick.token not in self._lost]
-        for pick in alive:
-            self._log.beat(pick.token, self.seconds)
+        for pick in self.held():
+            if pick.token not in self._lost:
+                self._log.beat(pick.token, self.seconds)

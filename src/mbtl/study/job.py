@@ -78,11 +78,10 @@ class Job:
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
         spools: where the policy waits while the store cannot be written, best first.
         timeout: seconds for all of it; None: no limit.
-        start: the policy to begin with; None: from scratch.
+        start: the policy to begin with; None: from scratch. With a state where its own training
+            goes on, or the trainer inherits; else the training begins with the weights.
         done: units that its training has had, where it goes on.
         length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
-        state: of the training of `start`, where it goes on, or the trainer inherits; None: it
-            begins with the weights.
         keeps_state: the training may go on later, so its state is kept.
         counts_steps: the steps of evaluations are counted, where the trainer can.
         untrained: a policy that is not trained will do: it is to be seen whether all else works.
@@ -102,7 +101,6 @@ class Job:
     start: Kept | None = None
     done: float = 0.0
     length: float | None = None
-    state: Artifact | None = None
     keeps_state: bool = False
     counts_steps: bool = False
     untrained: bool = False
@@ -160,7 +158,7 @@ def perform(
     job: Job,
     on_progress: OnProgress | None = None,
     on_kept: Callable[[Kept], None] = lambda kept: None,
-    on_evaluation: Callable[[], None] | None = None,
+    on_evaluation: Callable[[], None] = lambda: None,
     on_stuck: Callable[[], None] | None = None,
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
@@ -176,7 +174,9 @@ def perform(
         on_stuck: called from another thread where the job does not end at its time limit.
     """
     started = time.perf_counter()
-    kept, steps = job.kept, _Steps(on_progress, _steps_before(job))
+    goes_on = job.done and job.start is not None and isinstance(job.trainer, FunctionTrainer)
+    before = job.start.steps if job.start is not None and goes_on else 0.0  # a function's own count
+    kept, steps = job.kept, _Steps(on_progress, before)
     stage: Stage = "training" if kept is None else "saving"
     try:
         with at_most(job.timeout, on_stuck):
@@ -195,18 +195,13 @@ def perform(
                 kept = replace(kept, artifact=_save(job, kept))
                 on_kept(kept)
                 _forget_partial(job)
-            if on_evaluation is not None:
-                on_evaluation()
+            on_evaluation()
             if job.rehearse and job.length != 0.0 and kept.artifact is not None:
                 stage = "loading"  # what cannot be read back is found out with the first policy
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
             stage = "evaluation"
             if job.rehearse and len(job.targets) > 2:
-                last = len(job.targets) - 1
-                seeds = job.evaluation_seeds[::last]
-                _evaluated(
-                    replace(job, targets=job.targets[::last], evaluation_seeds=seeds), kept.policy
-                )
+                _evaluated(job, kept.policy, every=len(job.targets) - 1)
             returns, played = _evaluated(job, kept.policy)
     except (TrainingPruned, TookTooLong) as error:
         return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
@@ -272,9 +267,9 @@ def rehearse(
     return None if isinstance(outcome, Outcome) else outcome
 
 
-def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
-    """Checked returns on all targets and, where they are counted, the steps of the episodes."""
-    trainer, targets, seeds = job.trainer, list(job.targets), list(job.evaluation_seeds)
+def _evaluated(job: Job, policy: Any, every: int = 1) -> tuple[Array, float | None]:
+    """Checked returns on all targets, or every so many, and, where counted, the episodes' steps."""
+    trainer, targets, seeds = job.trainer, job.targets[::every], job.evaluation_seeds[::every]
     steps = None
     if job.counts_steps and isinstance(trainer, CountingTrainer):
         returns, lasted = trainer.evaluate_steps(policy, targets, seeds)
@@ -287,21 +282,21 @@ def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
 
 def _left(job: Job) -> tuple[ArtifactStore, Artifact, Mapping[str, Any]] | None:
     """The policy of this very training, by somebody who was ended after it, and its receipt."""
-    made = equipment_of(job.trainer)
+    wanted = _made_with(job).items()
     stores = () if job.store is None else (job.store, *job.spools)
     for store, place in product(stores, reversed(job.places)):
         receipt = store.receipt(place)
-        if (
-            receipt is not None
-            and receipt.get("seed") == job.seed
-            and receipt.get("format") == made["policy_format"]
-            and receipt.get("recipe", made["recipe"]) == made["recipe"]
-            and isinstance(receipt.get("sha256"), str)
-        ):
+        if receipt and wanted <= receipt.items() and isinstance(receipt.get("sha256"), str):
             with suppress(StorageError):  # of other files by now: no policy of this training
                 store.read(place, receipt["sha256"])
                 return store, Artifact(place, receipt["sha256"]), receipt
     return None
+
+
+def _made_with(job: Job) -> dict[str, Any]:
+    """What the receipt of a policy says of its training, by which it is found again."""
+    made = equipment_of(job.trainer)
+    return {"seed": job.seed, "format": made["policy_format"], "recipe": made["recipe"]}
 
 
 def _folder(job: Job, artifact: Artifact) -> Path:
@@ -348,12 +343,6 @@ def _begun_with(job: Job) -> Any:
     return job.trainer.load(folder)
 
 
-def _steps_before(job: Job) -> float | None:
-    """What reports of a training leave out: a function counts from where it goes on."""
-    goes_on = job.done and job.start is not None and isinstance(job.trainer, FunctionTrainer)
-    return job.start.steps if goes_on and job.start is not None else 0.0
-
-
 def _trained(job: Job, on_progress: _Steps) -> Kept:
     """From the beginning, from a policy or its training's state, or where another worker left it.
 
@@ -364,9 +353,10 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
         return Kept(job.trainer.untrained(job.contexts[0]))
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
-    if left is None and job.state is not None and "state" in job.trainer.takes:
+    state = None if job.start is None else job.start.state
+    if left is None and state is not None and "state" in job.trainer.takes:
         with suppress(StorageError):
-            kept = _states(job).read(job.state.place, job.state.sha256)
+            kept = _states(job).read(state.place, state.sha256)
             left = next(iter(kept.glob(_STATE)), None)
     if own is not None and left is not None and not own.exists():
         with suppress(OSError):
@@ -446,9 +436,8 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
-    made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
-    receipt: dict[str, Any] = {"seed": job.seed, "contexts": [dict(c) for c in job.contexts]}
-    receipt |= {"format": made["policy_format"], "recipe": made["recipe"], "steps": kept.steps}
+    fill, contexts = partial(job.trainer.save, kept.policy), [dict(c) for c in job.contexts]
+    receipt = {**_made_with(job), "contexts": contexts, "steps": kept.steps}
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbtl.errors import InvalidInput, StudyError, unknown_name
+from mbtl.errors import InvalidInput, StudyError, check_known
 from mbtl.files import from_home
 from mbtl.study.artifacts import FolderStore, policy_store
 from mbtl.study.ask import is_finished, others, stop_reason
@@ -13,6 +13,7 @@ from mbtl.study.checks import replay
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import check_path, database_file, fixed_url, shown
 from mbtl.study.leases import Presence, Watch
+from mbtl.study.state import StudyState
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -88,30 +89,36 @@ def delete_study(
         StudyError: there is none, or somebody runs it just now.
         InvalidInput: there are several and no name is given, or none has that name.
     """
-    address = database_at(storage)
-    name = chosen_name(address, name)
-    log = SqlLog(address, name)
-    state = replay(log.read())
-    watch = Watch(log, Presence(database_file(address)).is_gone)
+    log, state = opened(storage, name)
+    watch = Watch(log, Presence(database_file(log.url)).is_gone)
     # leases without end are those of ask and tell, whose programs may be long gone
     if held := others(state, watch, "", for_ever=False):
         raise StudyError(
-            f"a study that is run is not deleted, and {name!r} is run by {', '.join(held)}; end "
-            "that first, or wait until its leases have ended"
+            f"a study that is run is not deleted, and {log.study!r} is run by {', '.join(held)}; "
+            "end that first, or wait until its leases have ended"
         )
-    store = policy_store(address, artifacts)
+    store = policy_store(log.url, artifacts)
     log.delete()
     if isinstance(store, FolderStore) and not keep_policies:
         store.remove(f"policies/{state.uid}")
 
 
+def opened(storage: str | Path, name: str | None) -> tuple[SqlLog, StudyState]:
+    """The log of a study, and what it says; `load_study` describes arguments and errors."""
+    address = database_at(storage)
+    log = SqlLog(address, chosen_name(address, name))
+    state = replay(log.read())
+    if not state.seq:  # somebody has just deleted it
+        raise StudyError(f"there is no study {log.study!r} in {shown(address)}")
+    return log, state
+
+
 def database_at(storage: str | Path) -> str:
     """The URL of a database; of a folder that holds `study.db`, of that."""
-    place = storage
-    check_path(place)
-    if "://" not in str(storage) and from_home(storage).is_dir():
-        place = from_home(storage) / "study.db"
-    return fixed_url(place)
+    check_path(storage)
+    folder = from_home(storage)
+    is_folder = "://" not in str(storage) and folder.is_dir()
+    return fixed_url(folder / "study.db" if is_folder else storage)
 
 
 def chosen_name(address: str, name: str | None) -> str:
@@ -122,19 +129,20 @@ def chosen_name(address: str, name: str | None) -> str:
         StudyError: there is none.
     """
     names = study_names(address)
-    if name is None and len(names) != 1:
-        if names:
-            raise InvalidInput(
-                f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); choose one "
-                "with name= (--name)"
-            )
+    if name is not None:
+        check_known("study", name, names)
+        return name
+    if not names:
         raise StudyError(
             f"{shown(address)} holds no study; `mbtl run` and mbtl.create_study(..., storage=...) "
             "make one"
         )
-    if name is not None and name not in names:
-        raise unknown_name("study", name, names)
-    return names[0] if name is None else name
+    if len(names) > 1:
+        raise InvalidInput(
+            f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); choose one "
+            "with name= (--name)"
+        )
+    return names[0]
 
 
 def entry_of(address: str, name: str) -> StudyEntry:

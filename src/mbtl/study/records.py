@@ -69,93 +69,96 @@ class Pick:
         return harmless(f"pick {self.number + 1}: {where} ({self.reason})")
 
 
-@dataclass(frozen=True)
-class PickRecord:
-    """One proposal of the strategy, as logged.
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a training is, whether it was done or not.
 
     Attributes:
-        number: 0-based number of the pick.
         source: context index; of several, the one in their middle.
-        reason: why the selector chose it.
-        acquisition: what it expected of it; None where it has no such number.
-        notes: what went differently from the plan.
-        lease: who may answer it; None: nobody holds it.
-        asked_at: seconds since the epoch.
-        targets: contexts to evaluate on; None: all.
-        tokens: of all its leases, the first one first.
-        answered_by: token of the answer; empty where it came without; None: not answered.
-        last_worker: name of who held it last; None: nobody did so far.
-        abandoned: how often a holder fell silent, so that somebody else took it over.
-        retries: how often it failed and was begun again, each time with another seed.
         sources: indices of all contexts trained on.
         start: number of the event that told the policy to begin with; None: from scratch.
-        done: units that the training has had before, where it goes on.
-        length: units that it has had in all when it is done; 0: only evaluated.
-        whole: as long as the trainer has it, nobody having asked for another length.
+        done: units that the training has had before, where it goes on; 0: it does not.
+        length: units that it has had in all; 0: a policy is only evaluated.
     """
 
-    number: int
     source: int
-    reason: str
-    acquisition: float | None
-    notes: tuple[str, ...]
-    lease: Lease | None
-    asked_at: float
-    targets: tuple[int, ...] | None = None
-    tokens: tuple[str, ...] = ()
-    answered_by: str | None = None
-    last_worker: str | None = None
-    abandoned: int = 0
-    retries: int = 0
-    sources: tuple[int, ...] = ()
-    start: int | None = None
-    done: float = 0.0
-    length: float = 1.0
-    whole: bool = True
+    sources: tuple[int, ...]
+    start: int | None
+    done: float
+    length: float
 
     @property
     def price(self) -> float:
         """Units that it costs."""
         return max(self.length - self.done, 0.0) if self.length else 0.0
 
-    @property
-    def is_specialist(self) -> bool:
-        """On one context, from scratch, a whole one: all that a selector asks for."""
-        return len(self.sources) == 1 and self.start is None and self.length == 1.0
+
+@dataclass(frozen=True, kw_only=True)
+class PickRecord(Plan):
+    """One proposal of the strategy, as logged.
+
+    Attributes:
+        number: 0-based number of the pick.
+        reason: why the selector chose it.
+        acquisition: what it expected of it; None where it has no such number.
+        notes: what went differently from the plan.
+        asked_at: seconds since the epoch.
+        targets: contexts to evaluate on; None: all.
+        whole: as long as the trainer has it, nobody having asked for another length.
+        lease: who may answer it; None: nobody holds it.
+        leases: all that it ever had, the first one first.
+        answered_by: token of the answer; empty where it came without; None: not answered.
+        abandoned: how often a holder fell silent, so that somebody else took it over.
+        retries: how often it failed and was begun again, each time with another seed.
+    """
+
+    number: int
+    reason: str
+    acquisition: float | None
+    notes: tuple[str, ...]
+    asked_at: float
+    targets: tuple[int, ...] | None
+    whole: bool
+    lease: Lease | None = None
+    leases: tuple[Lease, ...] = ()
+    answered_by: str | None = None
+    abandoned: int = 0
+    retries: int = 0
 
     @property
     def worker(self) -> str | None:
         """Name of the holder; None: nobody holds it."""
         return None if self.lease is None else self.lease.worker
 
+    @property
+    def tokens(self) -> tuple[str, ...]:
+        """Of all its leases."""
+        return tuple(lease.token for lease in self.leases)
+
     def leased(self, lease: Lease | None) -> PickRecord:
         """The same with another holder, or none."""
-        new = lease is not None and lease.token not in self.tokens
-        tokens = (*self.tokens, lease.token) if lease and new else self.tokens
-        last = self.last_worker if lease is None else lease.worker
+        new = () if lease is None else (lease,)
+        silent = bool(new) and self.lease is not None
         return replace(
             self,
             lease=lease,
-            tokens=tokens,
+            leases=(*self.leases, *new),
             answered_by=None,
-            last_worker=last,
-            abandoned=self.abandoned + (new and self.lease is not None),
+            abandoned=self.abandoned + silent,
         )
 
 
 LOGGED = (
     "pick", "cost", "seconds", "policy", "sha256", "recipe", "steps", "state", "state_sha256",
-    "evaluation_steps",
 )  # fmt: skip
 """Facts of a row that its event has under the same name."""
 
 
-@dataclass(frozen=True)
-class ToldRow:
+@dataclass(frozen=True, kw_only=True)
+class ToldRow(Plan):
     """One transfer row, as logged.
 
     Attributes:
-        source: context index; of several, the one in their middle.
         pick: number of the pick it answers; None for a source nobody asked for.
         each: (N, E) returns of single episodes, raw units; NaN where there is none.
         cost: cost of the training in the user's unit.
@@ -166,33 +169,22 @@ class ToldRow:
         sha256: of the policy's files; None: not known.
         recipe: digest of the recipe that it was made with; None: not known.
         steps: environment steps of the training; None: not known.
-        sources: indices of all contexts trained on.
-        start: number of the event that told the policy it began with; None: from scratch.
-        done: units that policy had when its own training was continued; 0: it was not.
-        length: units of the training, those before included.
         state: folder of the training's state, to go on from exactly; None: there is none.
         state_sha256: of its files.
-        evaluation_steps: environment steps of its evaluations on targets; None: not known.
     """
 
-    source: int
     pick: int | None
     each: Array
     cost: float
     seconds: float | None
     policy: str | None
     told_at: float
-    event: int = 0
-    sha256: str | None = None
-    recipe: str | None = None
-    steps: float | None = None
-    sources: tuple[int, ...] = ()
-    start: int | None = None
-    done: float = 0.0
-    length: float = 1.0
-    state: str | None = None
-    state_sha256: str | None = None
-    evaluation_steps: float | None = None
+    event: int
+    sha256: str | None
+    recipe: str | None
+    steps: float | None
+    state: str | None
+    state_sha256: str | None
 
     @cached_property
     def returns(self) -> Array:

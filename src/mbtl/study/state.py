@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill, counted
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
-from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, ToldRow
+from mbtl.study.records import LOGGED, Failure, FreshReturns, Pick, PickRecord, Plan, ToldRow
 from mbtl.study.spec import LEAST_TARGETS, StudySpec
 
 ABILITIES = ("sets", "start", "length")
@@ -68,6 +68,10 @@ class StudyState:
         getattr(self, f"_{event.kind}")(event)
         self._history = None
         self.seq = event.seq
+
+    def is_proposed_with(self, token: str) -> bool:
+        """Whether who has this token finds the source of the next pick."""
+        return self.proposing is not None and self.proposing.token == token
 
     def copied(self) -> StudyState:
         """As it is now, and stays whatever is told meanwhile."""
@@ -116,10 +120,6 @@ class StudyState:
             )
         return self._routing
 
-    def value(self) -> float:
-        """V of the told rows; see `Study.value`."""
-        return self.routing().value.value if self.rows else -np.inf
-
     def curve(self) -> Array:
         """(k,) V after each row; see `Study.curve`."""
         found = self.routing().curve if self.rows else []
@@ -132,32 +132,28 @@ class StudyState:
             self._performance = self.bounds().normalise(returns)
             self._performance.setflags(write=False)  # there may be gigabytes of it
             self._errors = self._episodes().errors if self.rows else None
-        trainings = [self._made(row) for row in self.rows]
-        busy = self.open_picks.values()
-        dead = [self.picks[failure.pick] for failure in self.failures]
+        trainings = [self.training_of(row) for row in self.rows]
+        busy = [self.training_of(pick) for pick in self.open_picks.values()]
+        dead = [self.training_of(self.picks[failure.pick]) for failure in self.failures]
         usual = all(one.is_specialist for one in trainings)
         return History(
             n,
             tuple(row.source for row in self.rows),
             self._performance,
-            tuple(pick.source for pick in busy if pick.is_specialist),
-            tuple(pick.source for pick in dead if pick.is_specialist),
+            tuple(one.contexts[0] for one in busy if one.is_specialist),
+            tuple(one.contexts[0] for one in dead if one.is_specialist),
             self._errors,
             self.committed,
             () if usual else tuple(trainings),
-            tuple(self.training_of(pick) for pick in busy if not pick.is_specialist),
-            tuple(self.training_of(pick) for pick in dead if not pick.is_specialist),
+            tuple(one for one in busy if not one.is_specialist),
+            tuple(one for one in dead if not one.is_specialist),
             self.spec.budget - self.units_left,
         )
 
-    def _made(self, row: ToldRow) -> Training:
-        start = None if row.start is None else self.place_of(row.start)
-        return Training(row.sources, start, row.length, row.done > 0.0)
-
-    def training_of(self, pick: PickRecord) -> Training:
-        """A pick as a strategy sees it."""
-        start = None if pick.start is None else self.place_of(pick.start)
-        return Training(pick.sources, start, pick.length, pick.done > 0.0)
+    def training_of(self, one: Plan) -> Training:
+        """A pick or a row as a strategy sees it."""
+        start = None if one.start is None else self.place_of(one.start)
+        return Training(one.sources, start, one.length, one.done > 0.0)
 
     def _episodes(self) -> Episodes:
         return Episodes([row.each for row in self.rows], self.bounds())
@@ -217,7 +213,7 @@ class StudyState:
         spec = self.spec
         if spec.cost_budget is None:
             return np.inf
-        told = [row.cost / (row.length - row.done) for row in self.rows if row.pick is not None]
+        told = [row.cost / row.price for row in self.rows if row.pick is not None]
         each = float(np.mean(spec.costs or told or 0.0))
         if each == 0.0:  # nothing is known of it
             return float(spec.space.n)
@@ -258,16 +254,16 @@ class StudyState:
         spent = {True: 0.0, False: 0.0}  # on trainings that went on, on new ones
         for row in self._told_by.values():
             if row.pick is not None:
-                spent[row.done > 0.0] += self._own_steps(self.picks[row.pick], row.steps)
+                spent[row.done > 0.0] += self._own_steps(row, row.steps)
         open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
         return Bill(spent[False], spent[True], self.evaluation_steps, self.lost_steps, open_)
 
-    def _own_steps(self, pick: PickRecord, steps: float | None) -> float:
+    def _own_steps(self, one: Plan, steps: float | None) -> float:
         """Environment steps that a pick cost, of those that its training has had in all."""
-        before = self._parent(pick.start) if pick.done else None
+        before = self._parent(one.start) if one.done else None
         had = 0.0 if before is None else before.steps
         if steps is None or had is None:
-            return self.unit_steps * pick.price
+            return self.unit_steps * one.price
         return max(steps - had, 0.0)
 
     def _pay_evaluation(self, returns: Array, steps: float | None) -> None:
@@ -291,23 +287,20 @@ class StudyState:
             return f"pick {pick.number + 1}{of}{self.spec.budget}"
         return f"pick {pick.number + 1}, {self.spent_words()}"
 
-    def said(self, one: PickRecord | ToldRow) -> str:
+    def said(self, one: Plan) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
         how = self.how(one)
         return self.spec.space.describe_set(one.sources) + (f", {how}" if how else "")
 
-    def how(self, one: PickRecord | ToldRow) -> str:
+    def how(self, one: Plan) -> str:
         """From what and how long, in words; empty for a whole training from scratch."""
-        if isinstance(one, ToldRow) and one.pick is None:
-            return ""
-        pick = self.picks[one.pick or 0] if isinstance(one, ToldRow) else one
-        units = f"{pick.length:g} units"
-        if not pick.length:
-            return f"{self._named(pick.start)} evaluated further"
-        if pick.done:
-            return f"{pick.done:g} to {units}"
-        tuned = [] if pick.start is None else [f"tuned from {self._named(pick.start)}"]
-        return ", ".join([*tuned, *([] if pick.length == 1.0 else [units])])
+        units = f"{one.length:g} units"
+        if not one.length:
+            return f"{self._named(one.start)} evaluated further"
+        if one.done:
+            return f"{one.done:g} to {units}"
+        tuned = [] if one.start is None else [f"tuned from {self._named(one.start)}"]
+        return ", ".join([*tuned, *([] if one.length == 1.0 else [units])])
 
     def _named(self, start: int | None) -> str:
         """The policy that event number `start` told, as tables number it."""
@@ -318,7 +311,7 @@ class StudyState:
 
     def units(self) -> Array:
         """(k,) units of training of each row and all before it; those told unasked count, too."""
-        return np.cumsum([row.length - row.done for row in self.rows])
+        return np.cumsum([row.price for row in self.rows])
 
     def spent_words(self, *, answered: bool = False) -> str:
         """How much of the budget is asked for, or done: "3 of 15 trainings", "cost 2.5 of 60"."""
@@ -394,18 +387,17 @@ class StudyState:
         goes_on = parent is not None and parent.sources == sources and length != 0.0
         done = parent.length if parent is not None and goes_on else 0.0
         return PickRecord(
-            facts.get("pick", len(self.picks)),
-            middle_of(sources, self.spec.space.steps),
-            facts["reason"],
-            facts["acquisition"],
-            tuple(facts["notes"]),
-            None,
-            time,
-            None if facts.get("targets") is None else tuple(facts["targets"]),
+            source=middle_of(sources, self.spec.space.steps),
             sources=sources,
             start=start,
             done=done,
             length=done + 1.0 if length is None else float(length),
+            number=facts.get("pick", len(self.picks)),
+            reason=facts["reason"],
+            acquisition=facts["acquisition"],
+            notes=tuple(facts["notes"]),
+            asked_at=time,
+            targets=None if facts.get("targets") is None else tuple(facts["targets"]),
             whole=length is None and start is None,
         )
 
@@ -440,17 +432,9 @@ class StudyState:
         if pick is None:
             facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
             pick = self.planned({**facts, "notes": ()})
-        row = ToldRow(
-            source=pick.source,
-            each=each,
-            told_at=event.time,
-            event=event.seq,
-            sources=pick.sources,
-            start=pick.start,
-            done=pick.done,
-            length=pick.length,
-            **{name: data.get(name) for name in LOGGED},  # type: ignore[arg-type]
-        )
+        facts = {one.name: getattr(pick, one.name) for one in fields(Plan)}
+        facts |= {name: data.get(name) for name in LOGGED}
+        row = ToldRow(each=each, told_at=event.time, event=event.seq, **facts)
         self.rows.append(row)
         self._told_by[event.seq] = row
 

@@ -124,11 +124,11 @@ class SqlLog:
         row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
         row["checksum"] = checksum_of(after + 1, **facts)
         values = [row["time"] if c is t.c.time else sa.literal(row[c.name], c.type) for c in t.c]
-        names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
         dated = row["time"].between(0.0, LATEST)
-        is_last = sa.select(*values).where((self._last() == after) & dated)
-        statement = sa.insert(t).from_select(names, is_last, include_defaults=False)
+        last = sa.select(sa.func.coalesce(sa.func.max(t.c.seq), 0)).where(t.c.study == self.study)
+        is_last = sa.select(*values).where((last.scalar_subquery() == after) & dated)
+        statement = sa.insert(t).from_select([*t.c], is_last, include_defaults=False)
         statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
 
@@ -155,17 +155,14 @@ class SqlLog:
 
     def read(self, after: int = 0) -> Sequence[Event]:
         """Events after number `after`."""
-        import sqlalchemy as sa
-
         t = self._table.c
-        query = sa.select(t.seq, t.time, t.kind, t.data, t.arrays, t.checksum)
-        query = query.where((t.study == self.study) & (t.seq > after)).order_by(t.seq)
+        query = self._table.select().where((t.study == self.study) & (t.seq > after))
         events: list[Event] = []
 
         def fetch(connection: sa.Connection) -> None:
             events.clear()
-            for row in connection.execute(query):
-                events.append(_unpack(*row))
+            for _, *facts in connection.execute(query.order_by(t.seq)):
+                events.append(_unpack(*facts))
 
         try:
             self._do(fetch)
@@ -182,34 +179,27 @@ class SqlLog:
 
     def beat(self, token: str, seconds: float) -> None:
         """Write the row of this lease; see `MemoryLog`."""
-        import sqlalchemy as sa
-
         t = self._heartbeats
         facts = {"expires": clock(self._engine) + seconds}
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: sa.Connection) -> None:
-            if not connection.execute(sa.update(t).where(mine).values(**facts)).rowcount:
-                connection.execute(sa.insert(t).values(study=self.study, token=token, **facts))
+            if not connection.execute(t.update().where(mine).values(**facts)).rowcount:
+                connection.execute(t.insert().values(study=self.study, token=token, **facts))
 
         self._do(write, writes=True)
 
     def beats(self) -> Mapping[str, float]:
         """The rows of this study; see `MemoryLog`."""
-        import sqlalchemy as sa
-
-        t = self._heartbeats
-
-        query = sa.select(t.c.token, t.c.expires).where(t.c.study == self.study)
+        query = self._heartbeats.select().where(self._heartbeats.c.study == self.study)
         return self._do(lambda one: {row.token: row.expires for row in one.execute(query)})
 
     def delete(self) -> None:
         """All events and heartbeats of the study, for ever; `delete_study` asks first."""
-        import sqlalchemy as sa
 
         def write(connection: sa.Connection) -> None:
             for one in (self._table, self._heartbeats):
-                connection.execute(sa.delete(one).where(one.c.study == self.study))
+                connection.execute(one.delete().where(one.c.study == self.study))
 
         self._do(write, writes=True)
 
@@ -221,35 +211,26 @@ class SqlLog:
         now = float(connection.execute(sa.select(clock(self._engine))).scalar_one())
         return check_date(now, "the server")
 
-    def _last(self) -> Any:
-        """Number of the last event, as a part of a statement."""
-        import sqlalchemy as sa
-
-        t = self._table.c
-        found = sa.select(sa.func.coalesce(sa.func.max(t.seq), 0)).where(t.study == self.study)
-        return found.scalar_subquery()
-
     def _holds(self, row: Mapping[str, Any]) -> bool:
         """True when the log has this very event at this place.
 
         Events of workers name the token of a lease, so that nobody else writes the same; of those
         that do not, it makes no difference who did.
         """
-        import sqlalchemy as sa
-
         t = self._table.c
-        query = sa.select(t.kind, t.data, t.arrays)
-        query = query.where((t.study == self.study) & (t.seq == row["seq"]))
-        found = self._do(lambda connection: connection.execute(query).one_or_none())
-        return found is not None and tuple(found) == (row["kind"], row["data"], row["arrays"])
+        query = self._table.select().where((t.study == self.study) & (t.seq == row["seq"]))
+        found = self._do(lambda connection: connection.execute(query).mappings().one_or_none())
+        return found is not None and all(found[k] == row[k] for k in ("kind", "data", "arrays"))
 
     def _do(self, work: Callable[[sa.Connection], T], *, writes: bool = False) -> T:
-        """What `work` gives in one transaction, which may be done twice."""
-        return self.patience.through(lambda: self._try(work, writes=writes, single=not writes))
+        """What `work` gives in one transaction, again where the server did not answer."""
+        while True:
+            try:
+                return self._try(work, writes=writes, single=not writes)
+            except Unreachable as error:
+                self.patience.wait(error)
 
-    def _try(
-        self, work: Callable[[sa.Connection], T], *, writes: bool = False, single: bool = False
-    ) -> T:
+    def _try(self, work: Callable[[sa.Connection], T], *, writes: bool, single: bool) -> T:
         """Once; a single statement is a transaction by itself, and needs no words around it."""
         options: dict[str, Any] = {WRITES: writes}
         if single and self._engine.dialect.name == "postgresql":

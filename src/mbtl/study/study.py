@@ -11,18 +11,17 @@ import sys
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import middle_of
 from mbtl.errors import (
     InvalidInput,
     MbtlError,
@@ -30,14 +29,14 @@ from mbtl.errors import (
     StudyError,
     TrainingFailed,
     UnsavedPolicies,
-    unknown_name,
+    check_known,
 )
 from mbtl.faults import FAULTS, reason_of, say
-from mbtl.plain import short, whole
+from mbtl.plain import whole
+from mbtl.portfolio import Portfolio
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.score import RANDOM_ACTIONS, SCORE
 from mbtl.seeds import Purpose
-from mbtl.selectors import spread_targets
 from mbtl.study import ask
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.ask_tell import AskTell
@@ -58,12 +57,9 @@ from mbtl.trainers.contract import (
     RehearsingTrainer,
     Trainer,
     checked_returns,
+    checked_targets,
     completed,
 )
-
-if TYPE_CHECKING:
-    from mbtl.portfolio import Portfolio
-
 
 LEASE = 60.0
 """Seconds for which a run may be silent before others take its trainings over."""
@@ -96,9 +92,8 @@ class Failures:
     rehearse: bool = True
 
     def __post_init__(self) -> None:
-        for name, least in (("most_in_a_row", 1), ("retries", 0)):
-            if whole(f"{name} of Failures", value := getattr(self, name)) < least:
-                raise InvalidInput(f"{name} of Failures is {least} or more, got {short(value)}")
+        whole("most_in_a_row of Failures", self.most_in_a_row, 1)
+        whole("retries of Failures", self.retries, 0)
 
 
 @dataclass(frozen=True)
@@ -125,8 +120,7 @@ class Workers:
     timeout: float | None = None
 
     def __post_init__(self) -> None:
-        if whole("parallel of Workers", self.parallel) < 1:
-            raise InvalidInput(f"parallel of Workers is 1 or more, got {short(self.parallel)}")
+        whole("parallel of Workers", self.parallel, 1)
         for name, seconds in (("lease", self.lease), ("timeout", self.timeout)):
             if seconds is not None and not seconds > 0:
                 raise InvalidInput(f"{name} of Workers is a number of seconds > 0, got {seconds!r}")
@@ -239,11 +233,8 @@ class Study(AskTell):
         self.equip(trainer)
         state = self.refresh()
         answered(state, None, sources)  # refused before anything is played
-        targets, contexts = None, self.space.contexts
-        if self.spec.eval_targets is not None:
-            middle = middle_of(sources, self.space.steps)
-            targets = spread_targets(state.problem(), middle, self.spec.eval_targets)
-            contexts = [self.space.context(target) for target in targets]
+        targets = ask.usual_targets(state, sources)
+        contexts = [self.space.context(target) for target in checked_targets(targets, self.space.n)]
         returns = trainer.evaluate(policy, contexts, self.evaluation_seeds(targets))
         kept = None
         if self.artifacts is not None:
@@ -446,17 +437,16 @@ def run(
 
     try:
         with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
-            if pooled is not None:
-                _check_can_travel(pooled, trainer)
+            _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
-            _check_baselines(study, trainer)
+            if any(isinstance(one, str) for one in study.beside.baselines.values()):
+                _baselines(study, trainer)  # refuses a name before anything is trained
             _announce_others(study, announce)
             _announce_lost(study, announce)
             _announce_dear_rows(study, announce)
-            again = failures.retry_failed
-            if study.state.equipment is not None or again or not study.is_finished:
+            if study.state.equipment is not None or failures.retry_failed or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
-            if again:
+            if failures.retry_failed:
                 begin_again(study)
             finished = study.stop_reason is not None and not study.orphans
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
@@ -467,8 +457,7 @@ def run(
                 study, trainer, pooled, failures.most_in_a_row - 1, first_policy, announce, keeper,
                 workers.timeout, failures.retries,
             )  # fmt: skip
-            ask = partial(_next_pick, study, keeper)
-            do_all = partial(batches.do, workers.parallel, ask)
+            do_all = partial(batches.do, workers.parallel, partial(_next_pick, study, keeper))
             try:
                 do_all()
                 while wait and _wait_for_others(study, announce):
@@ -485,7 +474,7 @@ def run(
     return RunResult(
         study,
         study.curve,
-        fresh_value(study.state) if study.state.rows else None,
+        fresh_value(study.state),
         study.trainings,
         tuple(study.state.failures),
         study.stopping or study.stop_reason,
@@ -516,16 +505,11 @@ def _listed(callbacks: Any) -> Sequence[Callback]:
     return found
 
 
-@contextmanager
-def _pool(workers: Workers) -> Iterator[Executor | None]:
+def _pool(workers: Workers) -> AbstractContextManager[Executor | None]:
     """Where jobs run; None: in this process."""
-    if workers.parallel == 1:
-        yield None
-    elif workers.executor is not None:
-        yield workers.executor
-    else:
-        with separate_workers(workers.parallel) as pool:
-            yield pool
+    if workers.parallel > 1 and workers.executor is None:
+        return separate_workers(workers.parallel)
+    return nullcontext(None if workers.parallel == 1 else workers.executor)
 
 
 def _check_any_success(study: Study) -> None:
@@ -580,14 +564,12 @@ def _wait_for_others(study: Study, announce: Callable[..., None]) -> bool:
 
     One of them may die, and its training is then to be done here.
     """
-    seq, left, announced = study.refresh().seq, study.orphans, False
-    pause = _LOOK
+    seq, left, pause = study.refresh().seq, study.orphans, _LOOK
     while seq == study.refresh().seq and study.orphans == left:
         theirs = ask.others(study.state, study.watch(), study.worker, for_ever=False)
         if not theirs or study.stopping is not None:
             return False
-        if not announced:
-            announced = True
+        if pause == _LOOK:
             announce("on_note", f"waiting for trainings of {', '.join(theirs)}")
         time.sleep(pause * random.uniform(0.5, 1.0))
         pause = min(1.5 * pause, _LONGEST_LOOK)
@@ -603,14 +585,11 @@ def _report(
     whole: bool,
 ) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
-    beside = study.beside
 
     def failed(reason: str) -> None:
         announce("on_note", f"V on fresh episodes could not be measured: {reason}")
 
-    plan = plan_to_do(
-        study.state, study.policies, whole=whole, baselines=beside.baselines, metrics=beside.metrics
-    )
+    plan = plan_to_do(study.state, study.policies, study.beside, whole=whole)
     if plan is None:
         if study.state.rows and study.state.fresh is None and study.spec.risk == 1.0:
             failed("policies that serve were told without their files")
@@ -625,7 +604,7 @@ def _report(
     plan = replace(plan, baselines=len(baselines))
     announce("on_report", plan)
     try:
-        _play(study, trainer, plan, baselines, announce, timeout, stuck)
+        _play(study, trainer, plan, baselines, announce, partial(at_most, timeout, stuck))
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
@@ -671,9 +650,7 @@ def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
     """Where policies are not where they were: a mistyped place must not be found at the end."""
     store, rows = study.artifacts, enumerate(study.state.rows)
     kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
-    if store is None or not kept:
-        return
-    if store.receipt(kept[-1][1]) is None:
+    if store is not None and kept and store.receipt(kept[-1][1]) is None:
         where = store.root if isinstance(store, FolderStore) else store.url
         announce(
             "on_note",
@@ -696,7 +673,7 @@ def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:
     )
 
 
-def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
+def _check_can_travel(executor: Executor | None, trainer: Trainer) -> None:
     if isinstance(executor, (ProcessPoolExecutor, SeparateWorkers)):
         try:
             pickle.dumps(trainer)
@@ -713,8 +690,7 @@ def _play(
     plan: ReportPlan,
     baselines: Mapping[str, Any],
     announce: Callable[..., None],
-    timeout: float | None = None,
-    on_stuck: Callable[[], None] | None = None,
+    limit: Callable[[], AbstractContextManager[None]],
 ) -> None:
     """Evaluate what the plan says on fresh seeds, and record it.
 
@@ -724,43 +700,41 @@ def _play(
         plan: see `plan_of`.
         baselines: what is played beside them, by name.
         announce: tells people.
-        timeout: seconds for each policy; None: no limit.
-        on_stuck: see `mbtl.study.time_limits.at_most`.
+        limit: of the time for each policy.
     """
     rows, portfolio, n = len(study.state.rows), study.portfolio(trainer), study.space.n
     names = tuple(study.beside.metrics)
 
     def play(policy: Any, targets: Indices, *, own: bool = True) -> tuple[Array, Array]:
-        """(n, E) returns, (measures, n) means; of a policy of the study or of a baseline.
+        """(N, E) returns, (measures, N) means; of a policy of the study or of a baseline.
 
-        NaN where no episode counts.
+        NaN where no episode counts, or none is to be played.
         """
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
         told: Mapping[str, Array] = {}
-        with at_most(timeout, on_stuck):
+        with limit():
             if isinstance(trainer, MeasuringTrainer) and (names or not own):
                 told = trainer.measure(policy, contexts, seeds, names)
                 returns = told[SCORE]
             else:
                 returns = trainer.evaluate(policy, contexts, seeds)
-        blank = np.full((targets.size, 1), np.nan)
-        means = [np.asarray(told.get(name, blank)).mean(axis=1) for name in names]
         named = study.space.named(targets)
-        returns = checked_returns(returns, targets.size, named, gaps=own)
-        return completed(returns, gaps=True), np.reshape(means, (len(names), targets.size))
+        each = completed(checked_returns(returns, targets.size, named, gaps=own), gaps=True)
+        found, means = np.full((n, each.shape[1]), np.nan), np.full((len(names), n), np.nan)
+        found[targets] = each
+        for mean, name in zip(means, names, strict=True):
+            if name in told:
+                mean[targets] = np.asarray(told[name]).mean(axis=1)
+        return found, means
 
     found = {i: play(portfolio.policy(i), plan.targets(i)) for i in plan.policies}
     episodes = min(returns.shape[1] for returns, _ in found.values())
-    served, alone = np.full((2, n, episodes), np.nan)
-    own_means = np.full((len(names), n), np.nan)
-    alone[plan.contexts] = found[plan.best_single][0][:, :episodes]
+    served, own_means = np.full((n, episodes), np.nan), np.full((len(names), n), np.nan)
     for i, (returns, means) in found.items():
-        targets = plan.targets(i)
-        mine = plan.route[targets] == i
-        served[targets[mine]] = returns[mine, :episodes]
-        own_means[:, targets[mine]] = means[:, mine]
-    there = np.isfinite(served[plan.contexts]).all(axis=1)
+        mine = plan.route == i
+        served[mine], own_means[:, mine] = returns[mine, :episodes], means[:, mine]
+    there = np.asarray(np.isfinite(served).all(axis=1))
     others: dict[str, tuple[Array, Array]] = {}
     for name, policy in baselines.items():
         try:
@@ -769,7 +743,7 @@ def _play(
             others[name] = theirs
         except FAULTS as error:  # V must not be lost by it
             announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
-    lost = plan.contexts[~there]
+    lost = plan.contexts[~there[plan.contexts]]
     if lost.size == plan.contexts.size:
         raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost.size} contexts")
     if lost.size:
@@ -778,18 +752,12 @@ def _play(
     if missing := [n for n, told in zip(names, own_means, strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
     episodes = min([episodes, *(returns.shape[1] for returns, _ in others.values())])
-    metrics = np.full((1 + len(others), len(names), n), np.nan)
-    metrics[0] = own_means
-    compared = {name: np.full((n, episodes), np.nan) for name in others}
-    for k, (name, (returns, means)) in enumerate(others.items()):
-        compared[name][plan.contexts] = returns[:, :episodes]
-        metrics[1 + k][:, plan.contexts] = means
     study.record_fresh_returns(
         served[:, :episodes],
-        alone[:, :episodes],
+        found[plan.best_single][0][:, :episodes],
         best_single=plan.best_single,
-        baselines=compared,
-        metrics=metrics if names else None,
+        baselines={name: returns[:, :episodes] for name, (returns, _) in others.items()},
+        metrics=np.array([own_means, *(m for _, m in others.values())]) if names else None,
         rows=rows,
         lost=lost.tolist(),
     )
@@ -799,30 +767,18 @@ def _baselines(study: Study, trainer: Trainer) -> dict[str, Any]:
     """What V is compared with, by name: what the system can do by itself, and the user's own.
 
     Random actions where there is neither, so that it is said whether training is worth it.
+
+    Raises:
+        UnknownName: the user's own is a name that the system does not know.
     """
-    ways = _ways(study, trainer)
+    ways: tuple[str, ...] = ()  # where the trainer does not know how it goes without a policy
+    if isinstance(trainer, MeasuringTrainer):
+        ways = trainer.ways([study.space.context(0)])
+    for one in study.beside.baselines.values():
+        if ways and isinstance(one, str):  # functions take anything for a policy
+            check_known("baseline of this system", one, ways)
     found: dict[str, Any] = {way: way for way in ways if way != RANDOM_ACTIONS}
     found |= study.beside.baselines
     if ways and not found:
         found = {"random actions": RANDOM_ACTIONS}
     return found
-
-
-def _check_baselines(study: Study, trainer: Trainer) -> None:
-    """Refuse a name that the system does not know, before anything is trained.
-
-    Raises:
-        UnknownName: of a baseline.
-    """
-    named = [one for one in study.beside.baselines.values() if isinstance(one, str)]
-    ways = _ways(study, trainer) if named else ()
-    for name in named:
-        if ways and name not in ways:  # functions take anything for a policy
-            raise unknown_name("baseline of this system", name, ways)
-
-
-def _ways(study: Study, trainer: Trainer) -> tuple[str, ...]:
-    """How the system goes without a policy; none where the trainer does not know."""
-    if not isinstance(trainer, MeasuringTrainer):
-        return ()
-    return trainer.ways([study.space.context(0)])

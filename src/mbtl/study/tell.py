@@ -9,6 +9,7 @@ import numpy as np
 
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyError
+from mbtl.plain import whole
 from mbtl.study.events import Event
 from mbtl.study.records import Pick, PickRecord
 from mbtl.study.state import StudyState
@@ -22,7 +23,7 @@ def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | No
     """
     if isinstance(pick, Pick):
         return open_number(state, pick)
-    record = _from_scratch(state, sources)
+    record = from_scratch(state, sources)
     if record is not None:
         return record.number
     if any(row.sources == sources and row.start is None for row in state.rows):
@@ -34,7 +35,7 @@ def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | No
     return None
 
 
-def _from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | None:
+def from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | None:
     """The open pick that trains on these contexts from scratch."""
     picks = state.open_picks.values()
     return next((one for one in picks if one.sources == sources and one.start is None), None)
@@ -80,9 +81,12 @@ def held_number(state: StudyState, pick: Pick | int) -> int:
         StudyError: it is not open, or was taken over.
     """
     if not isinstance(pick, Pick):
-        if pick not in state.open_picks:
-            raise StudyError(f"pick {pick + 1} is not open: it was answered before, or never asked")
-        return int(pick)
+        number = whole("the number of a pick", pick)
+        if number not in state.open_picks:
+            raise StudyError(
+                f"pick {number + 1} is not open: it was answered before, or never asked"
+            )
+        return number
     number = open_number(state, pick)
     if is_late(state, pick):
         raise StudyError(
@@ -123,32 +127,23 @@ def _source_of(space: ContextSpace, pick: Any) -> int:
             "tell takes what ask gave, a context, its index, or several, got "
             f"{type(pick).__name__} {pick!r}"
         )
-    if not 0 <= int(pick) < space.n:
-        raise InvalidInput(f"context indices run from 0 to {space.n - 1}, got {pick}")
+    space.context(int(pick))  # refuses what is none
     return int(pick)
-
-
-def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...] | None:
-    """Targets of the open pick that trains on these from scratch."""
-    record = _from_scratch(state, sources)
-    return None if record is None else record.targets
 
 
 def reopening(state: StudyState, pick: Pick | int) -> Event:
     """The event that opens a failed pick again, or one whose policy could not be evaluated."""
-    number = pick.number if isinstance(pick, Pick) else int(pick)
-    if number in state.deferred:
-        return Event("reopened", {"pick": number})
-    failed = next((f for f in state.failures if f.pick == number), None)
-    if failed is None:
-        raise StudyError(
-            f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
-        )
-    record = state.picks[number]
-    same = record.sources, record.start, record.length
-    if any((row.sources, row.start, row.length) == same for row in state.rows):
-        where = _where(state, record.sources)
-        raise StudyError(f"{where} was told since pick {number + 1} failed there")
+    number = pick.number if isinstance(pick, Pick) else whole("the number of a pick", pick)
+    if number not in state.deferred:
+        if all(failure.pick != number for failure in state.failures):
+            raise StudyError(
+                f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
+            )
+        record = state.picks[number]
+        same = record.sources, record.start, record.length
+        if any((row.sources, row.start, row.length) == same for row in state.rows):
+            where = _where(state, record.sources)
+            raise StudyError(f"{where} was told since pick {number + 1} failed there")
     return Event("reopened", {"pick": number})
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.study.leases import Watch
-from mbtl.study.records import Failure, PickRecord
+from mbtl.study.records import Failure, PickRecord, ToldRow
 from mbtl.study.state import StudyState
 
 State = Literal["done", "failed", "pruned", "running", "stale", "waiting"]
@@ -80,44 +80,45 @@ class Training:
 
 def trainings_of(state: StudyState, watch: Watch) -> tuple[Training, ...]:
     """All of a study, as of this state, in the order in which they were asked for, or told."""
-    rows = {row.pick: place for place, row in enumerate(state.rows) if row.pick is not None}
     failures = {failure.pick: failure for failure in state.failures}
-    curve = state.curve()
-    found: list[tuple[float, Training]] = []
+    space, curve = state.spec.space, state.curve()
+    asked: list[tuple[float, Training]] = []
+    unasked: list[tuple[float, Training]] = []
+    told: dict[int, dict[str, Any]] = {}
+    for place, row in enumerate(state.rows):
+        facts = _told(row, place, curve)
+        if row.pick is None:
+            context = space.context(row.source)
+            one = Training(None, row.source, context, sources=row.sources, **facts)
+            unasked.append((row.told_at, one))
+        else:
+            told[row.pick] = facts
     for pick in state.picks:
+        facts = told.get(pick.number, {})
         trouble = failures.get(pick.number) or state.deferred.get(pick.number)
-        place = rows.get(pick.number)
-        told = _told(state, curve, place)
-        asked = Training(
+        if trouble is not None:
+            facts = {"steps": trouble.steps, "error": trouble.reason}
+            facts["traceback"] = trouble.traceback
+        one = Training(
             pick.number,
             pick.source,
-            state.spec.space.context(pick.source),
+            space.context(pick.source),
             _condition(state, watch, pick, failures.get(pick.number)),
-            worker=pick.last_worker,
+            worker=pick.leases[-1].worker if pick.leases else None,
             seed=state.seed_of(pick),
             reason=pick.reason,
-            steps=None if trouble is None else trouble.steps,
-            error=None if trouble is None else trouble.reason,
             sources=pick.sources,
             length=pick.length,
             how=state.how(pick),
             promised=pick.acquisition,
-            traceback="" if trouble is None else trouble.traceback,
+            **facts,
         )
-        found.append((pick.asked_at, replace(asked, **told)))
-    for place, row in enumerate(state.rows):
-        if row.pick is None:
-            context = state.spec.space.context(row.source)
-            unasked = Training(None, row.source, context, sources=row.sources)
-            found.append((row.told_at, replace(unasked, **_told(state, curve, place))))
-    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
+        asked.append((pick.asked_at, one))
+    return tuple(one for _, one in sorted([*asked, *unasked], key=lambda pair: pair[0]))
 
 
-def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
-    """What the row at this place says of its training."""
-    if place is None:
-        return {}
-    row = state.rows[place]
+def _told(row: ToldRow, place: int, curve: Array) -> dict[str, Any]:
+    """What a row says of its training."""
     home = float(row.returns[row.source])
     return {
         "home_return": home if home == home else None,  # NaN: not evaluated there
