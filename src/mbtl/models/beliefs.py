@@ -64,6 +64,7 @@ class Beliefs:
         self._sources = np.asarray(sources, dtype=np.intp)
         self._own_share, self._prior = own, prior or PRIORS["all"]
         self.measured: NDArray[np.bool_] = np.isfinite(rows)
+        self._models: dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]] = {}
         self._true: Array | None = None  # variances
         if errors is not None and np.nan_to_num(errors).any():
             self._true = np.square(np.nan_to_num(errors))
@@ -199,10 +200,6 @@ class Beliefs:
             used[observed] = True
             self._models[most] = model, observed, used
         return self._models[most]
-
-    @cached_property
-    def _models(self) -> dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]]:
-        return {}
 
     def _gain(self, deviations: Array, row: Indices, target: Indices) -> Array:
         """How much of the way from what is believed of entries to what was measured there."""

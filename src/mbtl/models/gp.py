@@ -175,9 +175,7 @@ def fit_gp(points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None) 
     """
     settings = settings or GPSettings()
     x, target = checked_data(points, y)
-    squared = squared_distances(x, x)
-    profile = _Profile(squared, target, settings)
-    length, amplitude = profile.maximise()
+    length, amplitude = _Profile(squared_distances(x, x), target, settings).maximise()
     return FittedGP(x, target, amplitude, length, settings.noise_std**2)
 
 

@@ -156,11 +156,7 @@ class TransferGP:
             left += np.outer(unsure, unsure)
             left *= self.scale
             if excess is not None:
-                from scipy.linalg import solve_triangular  # kept out of `import mbtl`
-
-                weights = solve_triangular(
-                    self._chol, half, lower=True, trans="T", check_finite=False
-                )
+                weights = half_solved(self._chol, half, "T")
                 left += weights.T @ excess @ weights
         return mean, left
 
@@ -201,9 +197,9 @@ class _Fit(NamedTuple):
 
 def _fit(kernel: Array, own: float, y: Array, noise: Array | None) -> _Fit:
     """Mean and factor of the data, with `own` noise (relative) and a known one (absolute)."""
-    if noise is None or not noise.any():
-        return _fit_relative(kernel, own, y)
     found = _fit_relative(kernel, own, y)
+    if noise is None or not noise.any():
+        return found
     own_part = own if noise.ndim == 1 else own * np.eye(len(y))
     for _ in range(_ROUNDS):  # the known noise is absolute and the kernel is not: fixed point
         before = found.scale
@@ -227,11 +223,11 @@ def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     return _Fit(chol, residual, ones, mean, scale, float(likelihood))
 
 
-def half_solved(chol: Array, right: Array) -> Array:
-    """L^-1 times the right-hand side."""
+def half_solved(chol: Array, right: Array, trans: str = "N") -> Array:
+    """L^-1, or of it the transpose ("T"), times the right-hand side."""
     from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
-    return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))
+    return np.asarray(solve_triangular(chol, right, trans, lower=True, check_finite=False))
 
 
 def likely_noise(

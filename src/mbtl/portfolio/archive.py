@@ -159,15 +159,12 @@ def load_policy(
 
 
 def _check_place(folder: Path, overwrite: bool) -> None:
-    if folder.is_dir() and not any(folder.iterdir()):
-        return
     if (folder / MANIFEST).is_file():
-        if overwrite:
-            return
-        raise InvalidInput(
-            f"{folder} already holds a portfolio; pass overwrite=True or another folder"
-        )
-    if folder.exists():
+        if not overwrite:
+            raise InvalidInput(
+                f"{folder} already holds a portfolio; pass overwrite=True or another folder"
+            )
+    elif folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise InvalidInput(
             f"a portfolio needs a folder of its own, got {folder} with other content"
         )

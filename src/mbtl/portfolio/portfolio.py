@@ -84,13 +84,11 @@ class Portfolio:
         returns.setflags(write=False)
         sources = tuple(int(source) for source in self.sources)
         folders = tuple(self.policy_folders) or (None,) * len(sources)
-        object.__setattr__(self, "returns", returns)
-        object.__setattr__(self, "sources", sources)
-        object.__setattr__(self, "policy_folders", folders)
         episodes = tuple(np.asarray(each, dtype=np.float64) for each in self.episodes)
-        object.__setattr__(self, "episodes", episodes)
         sets = {int(i): tuple(int(c) for c in on) for i, on in self.sets.items()}
-        object.__setattr__(self, "sets", sets)
+        own = {"returns": returns, "sources": sources, "episodes": episodes, "sets": sets}
+        for name, value in {**own, "policy_folders": folders}.items():
+            object.__setattr__(self, name, value)
         self._loaded.update(self.in_memory)
         k, n, shapes = len(sources), self.space.n, [each.shape for each in episodes]
         fit = (
@@ -199,15 +197,12 @@ class Portfolio:
 
         Luck that policies share is in a return and cancels in a difference between two.
         """
-        row = np.full(len(seen.weights), policy)
-        target, weights = seen.judged_on, seen.weights
-        if less is not None:
-            row, target = np.append(row, np.full(len(row), less)), np.tile(target, 2)
-            weights = np.append(weights, -weights)
-        beliefs = self.routing.beliefs
-        if not self.routing.noise_is_known and beliefs.measured[row, target].any():
+        routing, here = self.routing, seen.judged_on
+        both = [policy] if less is None else [policy, less]
+        if not routing.noise_is_known and routing.beliefs.measured[np.ix_(both, here)].any():
             return None
-        error = self.routing.tails * beliefs.error(row, target, weights)
+        row = np.full(len(here), policy)
+        error = routing.tails * routing.error(row, here, seen.weights, less)
         if seen.target is None:
             error = float(np.hypot(error, np.sqrt(seen.between(policy, less))))
         if error == 0.0 and seen.target is None:

@@ -13,7 +13,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import episode_moments, margin_of_sum
-from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, TrainingFailed
+from mbtl.errors import ContextMismatch, MbtlError, TrainingFailed
 from mbtl.faults import FAULTS, reason_of
 from mbtl.portfolio import Choice, Portfolio
 from mbtl.problems.cmdp import CMDP
@@ -89,8 +89,6 @@ def adapt(
         InvalidInput: the trainer cannot begin with a policy, or a length that is not above 0.
         TrainingFailed: the training or an evaluation fails.
     """
-    if not length > 0.0:
-        raise InvalidInput(f"a policy is tuned for a length > 0, got {length!r}")
     trainer = problem.facts().trainer
     assert trainer is not None
     target = dict(to)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -83,8 +83,7 @@ class SelectionProblem:
             )
         if self.costs is not None and not (
             self.costs.shape == (self.n,)
-            and (self.costs >= 1.0 / LARGEST).all()
-            and (self.costs <= LARGEST).all()
+            and ((self.costs >= 1.0 / LARGEST) & (self.costs <= LARGEST)).all()
         ):
             raise InvalidInput(
                 f"costs must be {self.n} numbers from {1.0 / LARGEST:g} to {LARGEST:g}, one per "
@@ -108,6 +107,11 @@ class SelectionProblem:
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
+
+    @property
+    def alone(self) -> SelectionProblem:
+        """As a selector has it: specialists are all that is asked for."""
+        return replace(self, budget=min(self.budget, len(self.sources)), abilities=None)
 
     @property
     def n(self) -> int:

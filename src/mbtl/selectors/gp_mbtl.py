@@ -60,7 +60,7 @@ class GPMBTL:
     ) -> Proposal:
         """Middle, warm-up, then the argmax of the gain; ties to the lowest index."""
         mask = open_candidates(problem, history)
-        if not (history.sources or history.pending or history.failed):
+        if not history.tried:
             return middle(problem, mask)
         early = start(problem, history, mask, self.warm_up)
         return self.acquire(problem, history, mask) if early is None else early

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import argmax_open, optimistic_gain
+from mbtl.acquisition import argmax_open
 from mbtl.arrays import Array
 from mbtl.errors import MbtlError
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings, fit_gp
+from mbtl.models import FittedGP, GPSettings
 from mbtl.models.gp import Fitter, squared_distances
 from mbtl.selectors.base import Proposal, SelectionProblem, served, spread, success_chance
 
@@ -27,7 +27,7 @@ def fit_posterior(
     history: History,
     targets: Array,
     settings: GPSettings,
-    fitter: Fitter = fit_gp,
+    fitter: Fitter,
 ) -> FittedGP:
     """GP of the training performance on grid steps, pending picks believed at their mean.
 
@@ -63,36 +63,24 @@ def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> Fit
     return FittedGP(points, y, amplitude, length, noise, (note,))
 
 
-def observed_best(problem: SelectionProblem, history: History) -> Array:
-    """(N,) best performance per target in the observed rows.
-
-    Of policies not evaluated there, what the transfer model believes; 0 where nothing is known.
-    """
-    best = served(problem, history)
-    return np.where(np.isfinite(best), best, 0.0)
-
-
 def observed_incumbent(
     problem: SelectionProblem, history: History, rows_of: Callable[[Array], Array]
 ) -> Array:
-    """(N,) `observed_best`, and what pending picks are believed to give.
+    """(N,) best performance per target in the observed rows, and believed of pending picks.
+
+    Of policies not evaluated there, what the transfer model believes; 0 where nothing is known.
 
     Args:
         problem: gives the grid steps.
         history: what was observed, and what is pending.
         rows_of: (k, D) grid steps of sources to the (k, N) rows that are believed of them.
     """
-    best = observed_best(problem, history)
+    best = served(problem, history)
+    best = np.where(np.isfinite(best), best, 0.0)
     if not history.pending:
         return best
     believed = rows_of(problem.steps[list(history.pending)])
     return np.asarray(np.fmax(best, believed.max(axis=0)))
-
-
-def linear_rows(problem: SelectionProblem, gp: FittedGP) -> Callable[[Array], Array]:
-    """Rows as the posterior of the training performance and the linear gap predict them."""
-    steps, theta = problem.steps, problem.theta
-    return lambda sources: predicted_rows(gp.predict(sources)[0], sources, steps, theta)
 
 
 def predicted_rows(
@@ -138,18 +126,6 @@ def gain_by_pairs(
     asked[candidates] = True
     note = f"{len(candidates):,} candidates and {len(targets):,} targets stood for {n:,} contexts"
     return gain, asked, (note,)
-
-
-def optimistic_gains(
-    problem: SelectionProblem, mask: NDArray[np.bool_], upper: Array, best: Array, theta: float
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """`optimistic_gain` as `gain_by_pairs` gives it."""
-    where = problem.steps
-
-    def gain_of(x: NDArray[np.intp], t: NDArray[np.intp], weights: Array) -> Array:
-        return optimistic_gain(upper[x], where[x], where[t], best[t], weights, theta=theta)
-
-    return gain_by_pairs(problem, mask, gain_of)
 
 
 def choose(

@@ -133,9 +133,7 @@ class Specialists:
             problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending,
             first.expected,
         )  # fmt: skip
-        left = (
-            None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
-        )
+        left = _chance_left(first, candidates, gain, problem)
         if outlook is not first:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
@@ -199,22 +197,19 @@ def _largest(
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
     judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
-    return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
-
-
-def _shown(gain: float) -> float:
-    """Rounded: the last digits depend on the order of sums."""
-    return round(float(gain), 10)
+    shown = round(float(gain[best]), 10)  # the last digits depend on the order of sums
+    return Proposal(source, reason, shown, (judged,) if sampling else ())
 
 
 def _chance_left(
     outlook: RowGain, candidates: Indices, gain: Array, problem: SelectionProblem
-) -> float:
-    """That trainings on all contexts left together gain `least_left` or more.
+) -> float | None:
+    """That trainings on all contexts left together gain `least_left` or more, where it is asked.
 
     The most promising and some spread ones stand for all of them, and few targets for all targets.
     """
-    assert problem.least_left is not None
+    if problem.least_left is None:
+        return None
     best = candidates[np.argsort(-gain, kind="stable")[: _LEFT // 2]]
     rest = np.setdiff1d(candidates, best)
     sources = np.union1d(best, spread(problem, rest, _LEFT - len(best)))

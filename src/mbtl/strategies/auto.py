@@ -107,7 +107,7 @@ class Auto:
         if standing.everybody is None:
             if problem.costs is None and standing.left < 1.0 - _LEAST:  # else some may be cheap
                 raise Exhausted("of the budget there is less left than a whole training")
-            chosen = self.chooser.propose(standing.alone, history.specialists(), rng)
+            chosen = self.chooser.propose(problem.alone, history.specialists(), rng)
             return replace(chosen, notes=(*chosen.notes, *standing.missing))
         options = self._options(standing, rng)
         if not options:
@@ -124,7 +124,7 @@ class Auto:
         if standing.left < 1.0 - _LEAST or (most < rate and problem.least_left is None):
             return options
         try:
-            chosen = self.chooser.propose(standing.alone, known, rng)
+            chosen = self.chooser.propose(problem.alone, known, rng)
         except Exhausted:
             return options
         done, gain = len(known), usual
@@ -209,12 +209,6 @@ class Standing:
         if "sets" not in self.abilities:
             return (_UNKNOWN if self.problem.assumed else _ONE_AT_A_TIME,)
         return () if "start" in self.abilities else (_FROM_SCRATCH,)
-
-    @cached_property
-    def alone(self) -> SelectionProblem:
-        """The problem as a selector has it."""
-        units = min(self.problem.budget, len(self.problem.sources))
-        return replace(self.problem, budget=units, abilities=None)
 
     @property
     def left(self) -> float:

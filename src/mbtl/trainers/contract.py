@@ -599,5 +599,4 @@ def code_of(trainer: Trainer) -> dict[str, Any]:
     A trainer with an attribute `functions` names it; of others it is their class.
     """
     named: Mapping[str, Any] = getattr(trainer, "functions", {"trainer": type(trainer)})
-    found = {name: described_code(one) for name, one in named.items()}
-    return {name: code for name, code in found.items() if code is not None}
+    return {name: code for name, one in named.items() if (code := described_code(one)) is not None}

@@ -195,8 +195,12 @@ class SB3Trainer:
         """
         check_asked(self, contexts, start, length)
         if len(contexts) > 1:
+            from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
             asked: dict[str, Any] = {"start": start, "state": state, "on_progress": on_progress}
-            return self._everywhere(contexts).train([{}], seed, length=length, done=done, **asked)
+            # the same in all contexts; what context it is given does not matter
+            everywhere = replace(self, make_env=Everywhere(self.make_env, tuple(contexts)))
+            return everywhere.train([{}], seed, length=length, done=done, **asked)
         context, by_episodes = contexts[0], self.episodes is not None
         until = None if length is None else round(length * self.whole)
         begun = round(done * self.whole)
@@ -247,12 +251,6 @@ class SB3Trainer:
             return model, done
         model.num_timesteps = done
         return model, None
-
-    def _everywhere(self, contexts: Sequence[Context]) -> SB3Trainer:
-        """The same in all contexts; what context it is given does not matter."""
-        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
-
-        return replace(self, make_env=Everywhere(self.make_env, tuple(contexts)))
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`).
@@ -323,7 +321,8 @@ class SB3Trainer:
         """See `mbtl.envs.references.played`."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         with isolated(self.threads):
-            make, most = self._evaluation(contexts)
+            at_once = min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
+            make, most = self.opener(contexts, at_once)
             who = policy
             if not isinstance(policy, str):
                 who = actor_for(policy, sampled=self.acting == "sampled")
@@ -378,10 +377,6 @@ class SB3Trainer:
         return partial(remote, self.make_env), min(at_once, usable_cores())
 
     # ---- inside ------------------------------------------------------------------------------
-
-    def _evaluation(self, contexts: Sequence[Context]) -> tuple[Callable[[Context], Any], int]:
-        """As `opener`, for episodes in all of these contexts."""
-        return self.opener(contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS))
 
     @property
     def _score(self) -> Score | None:
