@@ -16,14 +16,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.models.transfer_kernel import NEW, Pairs
+from mbtl.models.linear_trend import LinearTrend
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import NEW
 from mbtl.objective import worst_share_mean
 
 __all__ = ["TIE", "RowGain", "argmax_open", "expected_gain", "optimistic_gain", "unit_improvement"]
@@ -148,19 +149,6 @@ _DRAWS = 4000
 """Samples of a row: the standard error of a chance is below 0.01."""
 
 
-class RowModel(Protocol):
-    """A posterior of rows, such as `mbtl.models.TransferGP`."""
-
-    def predict(self, sources: Pairs, targets: Pairs, /) -> tuple[Array, Array]:
-        """Mean and standard deviation (M, T) of J for new trainings."""
-
-    def predict_pairs(self, pairs: Pairs, /) -> tuple[Array, Array]:
-        """Mean and standard deviation (m,) of J at pairs (m, 3)."""
-
-    def draws(self, sources: Pairs, targets: Pairs, n: int, rng: np.random.Generator, /) -> Array:
-        """(n, M, T) samples of the rows of new trainings."""
-
-
 @dataclass(frozen=True)
 class RowGain:
     """What one more training may bring on T targets: gain in V of a whole new row.
@@ -186,7 +174,7 @@ class RowGain:
         risk: share of the targets, the worst of them, that V is the mean of.
     """
 
-    model: RowModel
+    model: TransferGP | LinearTrend
     targets: NDArray[np.intp]
     best: Array
     seen: float

@@ -308,21 +308,29 @@ def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
     """The values of an axis on a grid: themselves, or so many that are evenly spread.
 
     Raises:
-        InvalidInput: neither a number of values nor values, or far too many.
+        InvalidInput: no axis, neither a number of values nor rising values, or far too many.
     """
-    if not isinstance(given, (int, np.integer)):
-        try:
-            return axis.own(list(given))
-        except TypeError:
+    if not isinstance(axis, Axis):
+        raise InvalidInput(f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}")
+    if isinstance(given, (int, np.integer)):
+        if not 1 <= given <= MOST:
             raise InvalidInput(
-                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
-            ) from None
-    count = int(given)
-    if not 1 <= count <= MOST:
+                f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(int(given))}"
+            )
+        return axis.spread(int(given))
+    try:
+        values = axis.own(list(given))
+    except TypeError:
         raise InvalidInput(
-            f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
+            f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
+        ) from None
+    if not values:
+        raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
+    if not isinstance(axis, Categorical) and (np.diff(np.asarray(values, float)) <= 0).any():
+        raise InvalidInput(
+            f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
         )
-    return axis.spread(count)
+    return values
 
 
 def _check_names(name: str, unit: str) -> None:
@@ -401,21 +409,7 @@ class ContextSpace:
             InvalidInput: values are not strictly increasing.
             ContextMismatch: a value lies outside its axis.
         """
-        for axis in axes:
-            if not isinstance(axis, Axis):
-                raise InvalidInput(
-                    f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}"
-                )
         levels = [grid_values(axis, given) for axis, given in axes.items()]
-        for axis, values in zip(axes, levels, strict=True):
-            if not values:
-                raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
-            if not isinstance(axis, Categorical) and np.any(
-                np.diff(np.asarray(values, float)) <= 0
-            ):
-                raise InvalidInput(
-                    f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
-                )
         shape = tuple(len(values) for values in levels)
         if (n := math.prod(shape)) > MOST:
             raise InvalidInput(f"a context space has at most {MOST:,} contexts, got {n:,}")

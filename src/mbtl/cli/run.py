@@ -213,11 +213,9 @@ def steps_of(text: str) -> int:
 
 def _announce(study: Study, folder: Path) -> None:
     spec = study.spec
-    going_on = (
-        f", going on after {study.state.spent_words(answered=True)}"
-        if study.state.rows and not study.is_finished
-        else ""
-    )
+    going_on = ""
+    if study.state.rows and not study.is_finished:
+        going_on = f", going on after {study.state.spent_words(answered=True)}"
     console.say(f"{spec.problem}: {study.space!r}, {spec.size}, study in {folder}{going_on}")
 
 

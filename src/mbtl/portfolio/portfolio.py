@@ -199,7 +199,7 @@ class Portfolio:
         """
         routing, here = self.routing, seen.judged_on
         both = [policy] if less is None else [policy, less]
-        if not routing.noise_is_known and routing.beliefs.measured[np.ix_(both, here)].any():
+        if not routing.noise_is_known and routing.beliefs.measured[both][:, here].any():
             return None
         row = np.full(len(here), policy)
         error = routing.tails * routing.error(row, here, seen.weights, less)

@@ -95,7 +95,8 @@ def adapt(
     choice = portfolio.explain(target)
     check_asked(trainer, [target], start=choice, length=length)
     begun = replace(portfolio, load=trainer.load).policy(choice.policy)
-    home = nearest_listed(portfolio, target)
+    here, listed = portfolio.space.encode_steps(target), portfolio.space.steps
+    home = int(np.linalg.norm(listed - here, axis=1).argmin())  # the nearest in grid steps
     own = training_seed(seed, 0, home, lineage=(1, choice.policy))
     seeds = evaluation_seeds(seed, 0, [portfolio.space.n + home], Purpose.REPORT)
     try:
@@ -190,9 +191,3 @@ def _with_target(portfolio: Portfolio, adapted: Adapted) -> tuple[ContextSpace, 
         some = adapted.before[: served.shape[1]]
         served[home, : len(some)] = some if portfolio.episodes else adapted.before.mean()
     return space, known
-
-
-def nearest_listed(portfolio: Portfolio, context: Mapping[str, Value]) -> int:
-    """Index of the listed context that is nearest in grid steps."""
-    here = portfolio.space.encode_steps(context)
-    return int(np.linalg.norm(portfolio.space.steps - here, axis=1).argmin())

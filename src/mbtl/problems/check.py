@@ -436,7 +436,7 @@ def _ends(space: ContextSpace, axis: str) -> list[Value]:
     values = list(dict.fromkeys(space.values(axis)))
     if any(isinstance(a, Categorical) for a in space.axes if a.name == axis):
         return values
-    return _outer(sorted(values))  # type: ignore[type-var]
+    return _outer(sorted(values))
 
 
 def _last_info(env: Any, steps: int, seed: int) -> Mapping[str, Any] | None:

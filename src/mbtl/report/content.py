@@ -14,7 +14,7 @@ from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.history import History
 from mbtl.plot.style import distinct
 from mbtl.report.subject import Subject
-from mbtl.routing import Routing, rank
+from mbtl.routing import Routing, last_route
 from mbtl.selectors.outlook import outlook
 
 
@@ -80,13 +80,12 @@ def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
 def served_by(routing: Routing, performance: Array) -> dict[str, Any]:
     """Who serves each context, how well, and who would if not."""
     believed, route, steps = routing.believed, routing.route, routing.space.steps
-    sources, every = np.asarray(routing.sources), np.arange(routing.space.n)
+    sources, every = routing.sources, np.arange(routing.space.n)
     second = np.full(len(every), -1)
     if len(sources) > 1:
-        for target in every.tolist():
-            distance = np.linalg.norm(steps[sources] - steps[target], axis=1)
-            order = rank(believed[:, target], distance, sources)
-            second[target] = next(i for i in order if i != route[target])
+        others = believed.copy()
+        others[route, every] = -np.inf
+        second = last_route(others, sources, steps)
     return {
         "policy": route,
         "colours": distinct(len(sources)),

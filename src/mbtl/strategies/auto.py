@@ -175,7 +175,10 @@ class Auto:
         The most is what the last ones added to V, for the best comes first. While the first one is
         under way, which will show what specialists are worth, another one is worth less.
         """
-        usual, made = self.fresh_share * standing.usual, standing.history.made
+        assert standing.everybody is not None
+        made = standing.history.made
+        longest = max(made(standing.everybody).length, 1.0)  # less is left, the longer that was
+        usual = self.fresh_share * (standing.headroom / longest)
         if not len(known):
             usual /= 1.0 + len(known.pending)
         rows = [row for row in range(len(standing.history)) if made(row).is_specialist]
@@ -258,12 +261,6 @@ class Standing:
     def headroom(self) -> float:
         """How far V is from performance 1, and no less than a little."""
         return max(1.0 - self.value(self.best), _LITTLE)
-
-    @property
-    def usual(self) -> float:
-        """Headroom, less of it the longer the policy for all was trained."""
-        assert self.everybody is not None
-        return self.headroom / max(self.history.made(self.everybody).length, 1.0)
 
     @cached_property
     def doublings(self) -> list[tuple[float, float]]:
