@@ -620,12 +620,7 @@ class ContextSpace:
     @cached_property
     def _levels(self) -> list[list[Value]]:
         """Per axis, its distinct values in grid order."""
-        assert self.shape is not None
-        strides = [int(np.prod(self.shape[q + 1 :])) for q in range(self.d)]
-        return [
-            [column[j * stride] for j in range(n)]
-            for column, stride, n in zip(self._columns, strides, self.shape, strict=True)
-        ]
+        return [list(dict.fromkeys(column)) for column in self._columns]
 
     def _to_steps(self, unit: Array) -> Array:
         """(n, D) unit-cube coordinates in grid steps; those of levels stay as they are.

@@ -10,7 +10,7 @@ import re
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -110,19 +110,16 @@ def run(
             "below 1, which has none; leave one out"
         )
     pay = budget if steps is None else Steps(steps_of(steps))
-    cmdp = resolve_cmdp(problem, engine=engine, score=score)
+    switches = {"engine": engine, "score": score}
+    cmdp = resolve_cmdp(problem, **switches)
     get_strategy(strategy)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
             "--episodes"
         )
-    overrides: dict[str, Any] = {
-        "timesteps": timesteps,
-        "episodes": episodes,
-        "eval_episodes": eval_episodes,
-    }
-    cmdp = cmdp.recipe(preset, **{k: v for k, v in overrides.items() if v is not None})
+    lengths = {"timesteps": timesteps, "episodes": episodes, "eval_episodes": eval_episodes}
+    cmdp = cmdp.recipe(preset, **{k: v for k, v in lengths.items() if v is not None})
     pay_how = "-steps" if steps is not None else ""
     recipe = cmdp.facts().settings["preset"]
     folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
@@ -157,15 +154,8 @@ def run(
     trainer, ended = cmdp.facts().trainer, None
     assert trainer is not None
     if workers is not None:
-        start = command(
-            workers,
-            running.name,
-            problem,
-            strategy,
-            engine=engine,
-            score=score,
-            artifacts=artifacts,
-        )
+        given = {**switches, "artifacts": artifacts}
+        start = command(workers, running.name, problem, strategy, **given)
         running.equip(trainer, accept_changes=accept_changes)  # workers hear of other code at once
         follow(running, start, retry_failed=retry_failed)
     with LiveProgress(running, console) as live:

@@ -81,12 +81,11 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
 
 def _placed(result: Study | Portfolio) -> dict[int, int]:
     """Context of every policy that has one: those trained on several have no place."""
-    sets = (
-        result.sets
-        if isinstance(result, Portfolio)
-        else [i for i, row in enumerate(result.state.rows) if len(row.sources) > 1]
-    )
-    return {i: source for i, source in enumerate(result.routing.sources) if i not in sets}
+    if isinstance(result, Portfolio):
+        several = set(result.sets)
+    else:
+        several = {i for i, row in enumerate(result.state.rows) if len(row.sources) > 1}
+    return {i: source for i, source in enumerate(result.routing.sources) if i not in several}
 
 
 def _legend(ax: Any, patches: Mapping[int, Any]) -> None:

@@ -340,10 +340,9 @@ class Portfolio:
         rows: dict[int, Array] = {}
         for policy in sorted({choice.policy for choice in choices}):
             mine = [i for i, choice in enumerate(choices) if choice.policy == policy]
-            played = trainer.evaluate(
-                self.policy(policy), [some[i] for i in mine], [seeds[i] for i in mine]
-            )
-            told = checked_returns(played, len(mine), [some[i] for i in mine], gaps=True)
+            here = [some[i] for i in mine]
+            played = trainer.evaluate(self.policy(policy), here, [seeds[i] for i in mine])
+            told = checked_returns(played, len(mine), here, gaps=True)
             rows |= dict(zip(mine, told, strict=True))
         returns = completed(np.array([rows[i] for i in range(len(some))]), gaps=True)
         there = np.flatnonzero(np.isfinite(returns).all(axis=1)).tolist()
@@ -417,14 +416,12 @@ class Portfolio:
         return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
 
     def _saved_policies(self) -> list[SavedPolicy]:
-        names: list[str] = []
-        for source in self.sources:
-            same = sum(source == other for other in self.sources[: len(names)])
-            names.append(f"source-{source:04d}" + (f"-{same + 1}" if same else ""))
-        return [
-            (name, None if folder is None else Path(folder), self.in_memory.get(i))
-            for i, (name, folder) in enumerate(zip(names, self.policy_folders, strict=True))
-        ]
+        found: list[SavedPolicy] = []
+        for i, (source, folder) in enumerate(zip(self.sources, self.policy_folders, strict=True)):
+            same = self.sources[:i].count(source)
+            name = f"source-{source:04d}" + (f"-{same + 1}" if same else "")
+            found.append((name, None if folder is None else Path(folder), self.in_memory.get(i)))
+        return found
 
 
 def _played(each: Array) -> Array:

@@ -192,11 +192,8 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         return ()
     portfolio, steps = folder / "portfolio", list[tuple[str, str]]()
     if (portfolio / "portfolio.json").is_file():
-        own = (
-            ", load=your_load"
-            if (study.state.equipment or {}).get("policy_format") == "custom"
-            else ""
-        )
+        custom = (study.state.equipment or {}).get("policy_format") == "custom"
+        own = ", load=your_load" if custom else ""
         context = study.space.context(study.space.n // 2)
         call = f"mbtl.load_portfolio({str(portfolio)!r}{own}).policy_for({context!r})"
         steps.append(("Serve a context", call))

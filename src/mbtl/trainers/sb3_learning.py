@@ -24,7 +24,7 @@ import pickle
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -236,23 +236,21 @@ class Watch:
         infos = given.get("infos", ())
         if self._score is not None:
             key = self._score.key
-            self._scores.extend(float(info[key]) for info in infos if key in info and _ends(info))
+            ends = [info for info in infos if "episode" in info or ENDED in info]
+            self._scores.extend(float(info[key]) for info in ends if key in info)
         if self.episodes is not None:
             ended = sum(self._ends in info for info in infos)
             if ended:
                 self.episodes += ended
-                self._foresee(self.episodes)
+                # schedules of the library run over steps: as many as the episodes make likely
+                steps = int(self._model.num_timesteps * self._total / self.episodes)
+                self._model._total_timesteps = max(steps, self._model.num_timesteps)
         if self._best is not None:
             self._best.visit(self._model, self.done)
         if self.done >= self._due:
             self._due = self.done + self._interval
             self.report(min(self.done, self._total))
         return not enough
-
-    def _foresee(self, episodes: int) -> None:
-        """Schedules of the library run over steps: as many as the episodes so far make likely."""
-        steps = self._model.num_timesteps * self._total / episodes
-        self._model._total_timesteps = max(int(steps), self._model.num_timesteps)
 
     def report(self, step: int) -> None:
         """Tell the caller where the training stands."""
@@ -269,11 +267,6 @@ class Watch:
             metrics["best_return"] = self._best.best
         unit = "episodes" if self._ends else "steps"
         self._on_progress(Progress(step, self._total, metrics, unit))
-
-
-def _ends(info: Mapping[str, Any]) -> bool:
-    """Whether an episode ended with the step that this tells of."""
-    return "episode" in info or ENDED in info
 
 
 def _same(env: Any) -> Any:
