@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.models.linear_trend import LinearTrend
 from mbtl.models.transfer_gp import TransferGP
@@ -104,7 +103,7 @@ def unit_improvement(z: Array) -> Array:
     return np.asarray(np.maximum(tail, 0.0) + np.maximum(z, 0.0))
 
 
-def argmax_open(values: Array, mask: NDArray[np.bool_]) -> int:
+def argmax_open(values: Array, mask: Mask) -> int:
     """Index of the largest value among the open ones; the lowest index on a tie.
 
     Raises:
@@ -175,20 +174,20 @@ class RowGain:
     """
 
     model: TransferGP | LinearTrend
-    targets: NDArray[np.intp]
+    targets: Indices
     best: Array
     seen: float
     weights: Array
     risk: float = 1.0
 
-    def expected(self, candidates: NDArray[np.intp]) -> Array:
+    def expected(self, candidates: Indices) -> Array:
         """(M,) expected gain of each candidate; with a risk, the gain of what is expected."""
         gain = self.by_target(candidates)
         if self.risk == 1.0:
             return np.asarray(gain @ self.weights)
         return self._value(self.best + gain) - self._value(self.best)
 
-    def by_target(self, candidates: NDArray[np.intp]) -> Array:
+    def by_target(self, candidates: Indices) -> Array:
         """(M, T) expected gain of each candidate on each target, without weights."""
         mean, std = self.model.predict(candidates, self.targets)
         gain = unit_improvement((mean - self.best) / std)
@@ -206,9 +205,7 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def chance_together(
-        self, sources: NDArray[np.intp], targets: NDArray[np.intp], least: float
-    ) -> float:
+    def chance_together(self, sources: Indices, targets: Indices, least: float) -> float:
         """Probability that trainings on all of M sources together gain `least` or more.
 
         Without those ceilings, so that a study ends rather too late than too early.

@@ -24,9 +24,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from mbtl.arrays import Array, uniform_weights
+from mbtl.arrays import Array, Indices, uniform_weights
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known, unknown_name
 from mbtl.faults import harmless
 from mbtl.files import MALFORMED
@@ -506,7 +506,7 @@ class ContextSpace:
             return self.describe(self.context(contexts[0]), between)
         return "all contexts" if len(contexts) == self.n else f"{len(contexts)} contexts"
 
-    def named(self, indices: Sequence[int] | NDArray[np.intp]) -> Callable[[int], str]:
+    def named(self, indices: Sequence[int] | Indices) -> Callable[[int], str]:
         """What the place-th of these contexts is called, for messages."""
         return lambda place: self.describe(self.context(int(indices[place])))
 

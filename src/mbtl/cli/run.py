@@ -10,7 +10,7 @@ import re
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -118,7 +118,8 @@ def run(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
             "--episodes"
         )
-    lengths = {"timesteps": timesteps, "episodes": episodes, "eval_episodes": eval_episodes}
+    lengths: dict[str, Any] = {"timesteps": timesteps, "episodes": episodes}
+    lengths["eval_episodes"] = eval_episodes
     cmdp = cmdp.recipe(preset, **{k: v for k, v in lengths.items() if v is not None})
     pay_how = "-steps" if steps is not None else ""
     recipe = cmdp.facts().settings["preset"]

@@ -7,9 +7,8 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.plot.style import GREY, axes_for, cells, distinct, dress, edges, number, positions, styled
@@ -118,7 +117,7 @@ def _territory(
     patches: Mapping[int, Any],
     ax: Any,
     drawn: tuple[Axis, Axis],
-    here: NDArray[np.intp],
+    here: Indices,
 ) -> bool:
     """Some contexts over two axes, coloured by policy; whether there are lines of performance."""
     from matplotlib.colors import ListedColormap
@@ -151,7 +150,7 @@ def _territory(
     return lined
 
 
-def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, NDArray[np.intp]]:
+def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, Indices]:
     """The contexts at the middle values of other axes, and words for that; of a list all."""
     here, words = np.arange(space.n), list[str]()
     for axis in others if space.shape is not None else ():

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import Episodes, checked_returns, completed
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, check_known
@@ -182,7 +181,7 @@ class Portfolio:
         check_known("way to treat a context outside", outside, ("error", "nearest"))
         return self.space.nearest(dict(context)) if outside == "nearest" else context
 
-    def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, NDArray[np.intp]]:
+    def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, Indices]:
         """What the policies should achieve on a context, and their places, the best first."""
         seen = forecast(self.space, self.sources, self.routing.beliefs, context)
         sources = np.asarray(self.sources, dtype=np.intp)

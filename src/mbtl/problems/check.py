@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -190,8 +190,7 @@ class CheckReport:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        checks = [{"name": c.name, "outcome": c.outcome, "detail": c.detail} for c in self.checks]
-        return {"subject": self.subject, "ok": self.ok, "checks": checks}
+        return {"subject": self.subject, "ok": self.ok, "checks": list(map(asdict, self.checks))}
 
 
 # ---- the dynamics --------------------------------------------------------------------------------

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.objective import Bounds, value, worst_share_mean, worst_share_weights
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.routing import Routing
@@ -275,7 +274,7 @@ def summarise_study(study: Study) -> StudySummary:
     )
 
 
-def worst_first(routing: Routing) -> NDArray[np.intp]:
+def worst_first(routing: Routing) -> Indices:
     """Contexts that count, those believed to be served worst first: fresh luck chooses nothing."""
     order = np.argsort(routing.served, kind="stable")
     return np.asarray(order[routing.space.weights[order] > 0.0])

@@ -8,9 +8,8 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array, unwritable
+from mbtl.arrays import Array, Indices, Mask, unwritable
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
@@ -56,7 +55,7 @@ class SelectionProblem:
     risk: float = 1.0
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
-    trainable: NDArray[np.bool_] | None = None
+    trainable: Mask | None = None
     abilities: frozenset[str] | None = None
     assumed: bool = False
 
@@ -119,7 +118,7 @@ class SelectionProblem:
         return len(self.steps)
 
     @cached_property
-    def sources(self) -> NDArray[np.intp]:
+    def sources(self) -> Indices:
         """(M,) indices of the contexts that one may train on."""
         here = np.arange(self.n) if self.trainable is None else np.flatnonzero(self.trainable)
         return unwritable(here)
@@ -220,7 +219,7 @@ class Exhausted(StudyError):
     """Every context has been trained, is pending, or failed; or none is cheap enough."""
 
 
-def open_candidates(problem: SelectionProblem, history: History) -> NDArray[np.bool_]:
+def open_candidates(problem: SelectionProblem, history: History) -> Mask:
     """(N,) mask of the contexts that may be proposed and that the cost budget still allows.
 
     Raises:
@@ -296,22 +295,20 @@ def success_chance(problem: SelectionProblem, history: History) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(odds / 2.0))
 
 
-def likely_candidates(
-    problem: SelectionProblem, history: History, mask: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def likely_candidates(problem: SelectionProblem, history: History, mask: Mask) -> Mask:
     """(N,) those of `mask` where a training more likely than not gives a policy; all if none."""
     likely = mask & (success_chance(problem, history) >= 0.5)
     return likely if likely.any() else mask
 
 
-def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_]) -> int:
+def nearest_open(problem: SelectionProblem, point: Array, mask: Mask) -> int:
     """Open context nearest to `point` (D,) in grid steps; the lowest index on a tie."""
     distance = np.sqrt(((problem.steps - point) ** 2).sum(axis=1))
     distance[~mask] = np.inf
     return int(np.flatnonzero(distance <= distance.min() + 1e-9)[0])
 
 
-def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: NDArray[np.bool_]) -> int:
+def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: Mask) -> int:
     """Open context whose nearest taken one is farthest; the lowest index on a tie."""
     nearest = nearest_distance(problem.steps, problem.steps[list(taken)])
     nearest[~mask] = -np.inf
@@ -326,7 +323,7 @@ def nearest_distance(points: Array, taken: Array) -> Array:
     return nearest
 
 
-def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:
+def first_pick(problem: SelectionProblem, history: History, mask: Mask) -> Proposal:
     """Before any row is known: the middle, then far from what is under way or failed."""
     taken = [*history.pending, *history.failed]
     if taken:
@@ -339,7 +336,7 @@ def centre(problem: SelectionProblem) -> Array:
     return np.asarray((problem.steps.min(axis=0) + problem.steps.max(axis=0)) / 2.0)
 
 
-def spread(problem: SelectionProblem, among: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
     """At most `most` of the contexts, spread over the space, always the same ones."""
     if len(among) <= most:
         return among
@@ -350,6 +347,6 @@ def spread(problem: SelectionProblem, among: NDArray[np.intp], most: int) -> NDA
 
 
 @lru_cache(maxsize=1)
-def _shuffled(n: int) -> NDArray[np.intp]:
+def _shuffled(n: int) -> Indices:
     """(n,) place of each context in a random order, always the same."""
     return np.argsort(np.random.default_rng(0).permutation(n))

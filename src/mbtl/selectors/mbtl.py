@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.acquisition import expected_gain, optimistic_gain
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import GPSettings, fit_gp
@@ -35,8 +34,6 @@ from mbtl.selectors.model_based import (
     predicted_rows,
 )
 from mbtl.selectors.worst_first import worst_context
-
-Indices = NDArray[np.intp]
 
 
 def ucb_weight(k: int, n: int) -> float:
@@ -91,17 +88,15 @@ class MBTL:
         kind = "expected" if self.acquisition == "ei" else "optimistic"
         return choose(problem, history, gain, std, asked, f"largest {kind} gain", notes)
 
-    def outlook(
-        self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
-    ) -> Outlook:
+    def outlook(self, problem: SelectionProblem, history: History, candidates: Indices) -> Outlook:
         """The posterior and the acquisition, with the number of the next pick."""
         every = np.ones(problem.n, dtype=bool)
         mean, std, gain, *_ = self._judged(problem, history, every)
         return Outlook(self.name, mean, std, gain)
 
     def _judged(
-        self, problem: SelectionProblem, history: History, mask: NDArray[np.bool_]
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_], tuple[str, ...]]:
+        self, problem: SelectionProblem, history: History, mask: Mask
+    ) -> tuple[Array, Array, Array, Mask, tuple[str, ...]]:
         """(N,) posterior mean and deviation, and acquisition with what `gain_by_pairs` says."""
         where, theta = problem.steps, problem.theta
         gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
@@ -147,9 +142,7 @@ class MBTLEI(MBTL):
     name: str = "mbtl-ei"
 
 
-def start(
-    problem: SelectionProblem, history: History, mask: NDArray[np.bool_], warm_up: int
-) -> Proposal | None:
+def start(problem: SelectionProblem, history: History, mask: Mask, warm_up: int) -> Proposal | None:
     """The middle, then `warm_up` worst-first picks; None once the model should decide.
 
     Warm-up goes on while no training performance is known, since there is nothing to fit.

@@ -6,17 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.acquisition import argmax_open
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import MbtlError
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings
 from mbtl.models.gp import Fitter, squared_distances
 from mbtl.selectors.base import Proposal, SelectionProblem, served, spread, success_chance
 
-GainOf = Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]
+GainOf = Callable[[Indices, Indices, Array], Array]
 MOST = 4000
 """Contexts that are candidates, and targets, where every pair of them takes time."""
 _NOTHING = 1e-12  # cmdp-spec 8.2: an acquisition below this everywhere says nothing
@@ -99,8 +98,8 @@ def predicted_rows(
 
 
 def gain_by_pairs(
-    problem: SelectionProblem, mask: NDArray[np.bool_], gain_of: GainOf
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    problem: SelectionProblem, mask: Mask, gain_of: GainOf
+) -> tuple[Array, Mask, tuple[str, ...]]:
     """A gain that takes time for every pair of a candidate and a target.
 
     Of more than `MOST` contexts so many open ones are candidates and so many targets, spread over
@@ -133,7 +132,7 @@ def choose(
     history: History,
     acquisition: Array,
     std: Array,
-    mask: NDArray[np.bool_],
+    mask: Mask,
     reason: str,
     notes: tuple[str, ...],
 ) -> Proposal:

@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.acquisition import TIE, RowGain, argmax_open
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
@@ -38,9 +37,6 @@ from mbtl.selectors.base import (
     success_chance,
 )
 from mbtl.selectors.contract import Traits
-
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
