@@ -16,7 +16,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -303,7 +303,7 @@ def reference_rows(
 
 
 @dataclass(frozen=True)
-class FunctionTrainer:
+class FunctionTrainer(Trainer):
     """A trainer from plain functions, each of which is given what its signature takes.
 
         train(context, seed) -> policy                                 # specialists, whole
@@ -334,9 +334,6 @@ class FunctionTrainer:
     load_fn: Callable[[Path], Any] | None = None
     policy_format: str = "custom"
     score: str | None = None
-
-    whole: ClassVar[int | None] = None
-    counts: ClassVar[Literal["steps", "episodes"]] = "steps"
 
     def __post_init__(self) -> None:
         for name, function in (("train", self.train_fn), ("evaluate", self.evaluate_fn)):
