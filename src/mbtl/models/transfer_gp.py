@@ -119,10 +119,11 @@ class TransferGP:
         only known noise is smoothed away. That the mean mu is fitted counts as well.
         """
         mean, std = np.empty((2, len(pairs)))
+        own = variance(self._prior) + self._prior.noise
         with threads_for(len(self._places.x)):
             for some in _blocks(len(pairs), len(self._pairs)):
                 half, mean[some], unsure = self._weighed(pairs[some])
-                left = self._own - np.einsum("ij,ij->j", half, half) + unsure**2
+                left = own - np.einsum("ij,ij->j", half, half) + unsure**2
                 std[some] = np.sqrt(self.scale * np.maximum(left, 0.0))
         return mean, std
 
@@ -159,10 +160,6 @@ class TransferGP:
                 weights = half_solved(self._chol, half, "T")
                 left += weights.T @ excess @ weights
         return mean, left
-
-    @property
-    def _own(self) -> float:
-        return variance(self._prior) + self._prior.noise
 
     def _weighed(self, pairs: Pairs) -> tuple[Array, Array, Array]:
         """Covariances with the data, halved; the mean; what not knowing mu adds, a deviation."""

@@ -219,7 +219,7 @@ class SB3Trainer:
                 return int(model.num_timesteps) // getattr(model.env, "slots", 1)
 
             told = on_progress
-            if by_episodes and until is not None:
+            if by_episodes and until is not None and on_progress is not None:
                 told = in_steps(on_progress, played)
             watch = Watch(model, planned, told, best, episodes, self._score)
             anew = found is None and begun == 0

@@ -334,10 +334,8 @@ def pausing(model: Any, watch: Watch, until: int, state: Path | None) -> Iterato
             del model.collect_rollouts
 
 
-def in_steps(on_progress: OnProgress | None, played: Callable[[], int]) -> OnProgress | None:
+def in_steps(on_progress: OnProgress, played: Callable[[], int]) -> OnProgress:
     """Reports of a training that counts episodes, in the environment steps `played` so far."""
-    if on_progress is None:
-        return None
 
     def told(progress: Progress) -> None:
         steps = played()
