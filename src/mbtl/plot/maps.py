@@ -47,11 +47,34 @@ def policy_map(
     space, patches = result.space, _patches(result)
     if space.d == 1:
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
-    drawn, ax = _pair(space, over), axes_for(ax, 6.8, 4.2)
-    where, here = _middle(space, [axis for axis in space.axes if axis not in drawn])
-    lined = _territory(result, patches, ax, drawn, here)
-    said = f"; lines: performance {_BY}" if lined else ""
-    ax.set_title(f"which policy serves{where}{said}", fontsize=8)
+    from matplotlib.colors import ListedColormap
+
+    drawn, ax, routing = _pair(space, over), axes_for(ax, 6.8, 4.2), result.routing
+    said, here = _middle(space, [axis for axis in space.axes if axis not in drawn])
+    x, y = (positions(axis, space.values(axis.name)) for axis in drawn)
+    rank = {policy: place for place, policy in enumerate(patches)}
+    code = np.array([rank[i] for i in routing.route[here].tolist()], dtype=float)
+    look: Any = {
+        "cmap": ListedColormap([patch.get_facecolor() for patch in patches.values()]),
+        "vmin": -0.5, "vmax": len(patches) - 0.5,
+    }  # fmt: skip
+    if space.shape is None:
+        ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
+    else:  # one context in a cell
+        across, up, table = cells(x[here], y[here], code)
+        ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
+        served = cells(x[here], y[here], routing.served[here])[2]
+        ordered = not any(isinstance(axis, Categorical) for axis in drawn)
+        whole = ordered and len(here) == space.n and min(served.shape) > 1
+        if whole and np.ptp(served) > 0:
+            lines = ax.contour(across, up, served, 4, colors="black", linewidths=0.6, alpha=0.7)
+            ax.clabel(lines, fontsize=6)
+            said += f"; lines: performance {_BY}"
+    for axis, side in zip(drawn, "xy", strict=True):
+        dress(ax, axis, side)
+    inside = set(here.tolist())
+    _mark(ax, x, y, {p: source for p, source in _placed(result).items() if source in inside})
+    ax.set_title(f"which policy serves{said}", fontsize=8)
     _legend(ax, patches)
     return ax
 
@@ -110,44 +133,6 @@ def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> An
     number(ax, places, {i: p.get_facecolor() for i, p in patches.items()})
     _legend(ax, patches)
     return ax
-
-
-def _territory(
-    result: Study | Portfolio,
-    patches: Mapping[int, Any],
-    ax: Any,
-    drawn: tuple[Axis, Axis],
-    here: Indices,
-) -> bool:
-    """Some contexts over two axes, coloured by policy; whether there are lines of performance."""
-    from matplotlib.colors import ListedColormap
-
-    space, routing = result.space, result.routing
-    x, y = (positions(axis, space.values(axis.name)) for axis in drawn)
-    rank = {policy: place for place, policy in enumerate(patches)}
-    code = np.array([rank[i] for i in routing.route[here].tolist()], dtype=float)
-    look: Any = {
-        "cmap": ListedColormap([patch.get_facecolor() for patch in patches.values()]),
-        "vmin": -0.5, "vmax": len(patches) - 0.5,
-    }  # fmt: skip
-    lined = False
-    if space.shape is None:
-        ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
-    else:  # one context in a cell
-        across, up, table = cells(x[here], y[here], code)
-        ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
-        served = cells(x[here], y[here], routing.served[here])[2]
-        ordered = not any(isinstance(axis, Categorical) for axis in drawn)
-        whole = ordered and len(here) == space.n and min(served.shape) > 1
-        lined = bool(whole and np.ptp(served) > 0)
-        if lined:
-            lines = ax.contour(across, up, served, 4, colors="black", linewidths=0.6, alpha=0.7)
-            ax.clabel(lines, fontsize=6)
-    for axis, side in zip(drawn, "xy", strict=True):
-        dress(ax, axis, side)
-    inside = set(here.tolist())
-    _mark(ax, x, y, {p: source for p, source in _placed(result).items() if source in inside})
-    return lined
 
 
 def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, Indices]:

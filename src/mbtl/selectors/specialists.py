@@ -116,6 +116,7 @@ class Specialists:
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Conditioned
     ) -> Proposal:
+        """The largest gain per cost; far from all where nothing is to be gained."""
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
@@ -134,8 +135,22 @@ class Specialists:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
             gain = outlook.expected(candidates)
-        chosen = _largest(problem, history, outlook, candidates, gain, costs)
-        return replace(chosen, chance_left=left)
+        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
+        source = int(candidates[best])
+        if gain[best] <= TIE:
+            source = farthest_open(problem, [*history.sources, *history.pending], mask)
+            reason = "no predicted gain anywhere: far from what was tried"
+            return Proposal(source, reason, 0.0, chance_left=left)
+        reason = "largest expected gain"
+        if isinstance(outlook.model, LinearTrend):
+            reason += " by straight lines"
+        if problem.costs is not None:
+            reason += " per cost"
+        counted = int(np.count_nonzero(problem.weights))
+        sampling = outlook.standard_error(source, counted)
+        judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
+        shown = round(float(gain[best]), 10)  # the last digits depend on the order of sums
+        return Proposal(source, reason, shown, (judged,) if sampling else (), left)
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Conditioned:
         """Condition the model on the rows, at some of the targets."""
@@ -168,33 +183,6 @@ class Specialists:
             return beliefs.row_gain(beliefs.targets)
         counted = np.flatnonzero(problem.weights > 0)
         return beliefs.row_gain(spread(problem, counted, _TREND_TARGETS))
-
-
-def _largest(
-    problem: SelectionProblem,
-    history: History,
-    outlook: RowGain,
-    candidates: Indices,
-    gain: Array,
-    costs: Array,
-) -> Proposal:
-    """The candidate of the largest gain per cost; far from all where nothing is to be gained."""
-    best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
-    source = int(candidates[best])
-    if gain[best] <= TIE:
-        mask = open_candidates(problem, history)
-        source = farthest_open(problem, [*history.sources, *history.pending], mask)
-        return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
-    reason = "largest expected gain"
-    if isinstance(outlook.model, LinearTrend):
-        reason += " by straight lines"
-    if problem.costs is not None:
-        reason += " per cost"
-    counted = int(np.count_nonzero(problem.weights))
-    sampling = outlook.standard_error(source, counted)
-    judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
-    shown = round(float(gain[best]), 10)  # the last digits depend on the order of sums
-    return Proposal(source, reason, shown, (judged,) if sampling else ())
 
 
 def _chance_left(

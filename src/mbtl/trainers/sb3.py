@@ -463,6 +463,7 @@ class SB3Trainer:
 
         from mbtl.envs.opening import refuse_running_statistics
 
+        observed, rewarded = self.normalize_observations, self.normalize_reward
         several = self.checkpoint == "best" or (self.n_envs > 1 and not self.processes)
         open_env, _ = self.opener([context], 2 if several else 1)
         make = partial(self.make_env if self.processes else open_env, context)
@@ -480,25 +481,20 @@ class SB3Trainer:
         if hasattr(first, "possible_agents"):
             from mbtl.trainers.shared import SharedVecEnv
 
-            if self.normalize_reward or self.normalize_observations:
+            if observed or rewarded:
                 raise InvalidInput(
                     "what agents that come and go see and earn cannot be normalised, got "
-                    f"normalize_reward={self.normalize_reward} and normalize_observations="
-                    f"{self.normalize_observations}; scale it in the environment"
+                    f"normalize_reward={rewarded} and normalize_observations={observed}; scale it "
+                    "in the environment"
                 )
             envs: Any = SharedVecEnv(makers, processes=self.processes, credit=self.credit)
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
         stack.callback(close, envs)
-        if self.normalize_reward or self.normalize_observations:
+        if observed or rewarded:
             gamma = self.hyperparameters.get("gamma", 0.99)
-            envs = VecNormalize(
-                envs,
-                norm_obs=self.normalize_observations,
-                norm_reward=self.normalize_reward,
-                gamma=gamma,
-            )
+            envs = VecNormalize(envs, norm_obs=observed, norm_reward=rewarded, gamma=gamma)
         return envs
 
     def _best_checkpoint(
