@@ -43,9 +43,22 @@ def fit_constant_mean(
     ratios = np.linspace(np.log(least), np.log(max(_MOST_NOISE, 10.0 * least)), _RATIOS)
 
     def lml(log_length: Array, log_ratio: Array) -> tuple[Array, Array, Array]:
+        """(lengths, ratios) likelihood at the best mean and amplitude, and these two.
+
+        It has one maximum in the amplitude, so moving that into its bounds is exact.
+        """
         e, q = np.linalg.eigh(np.exp(squared * (-0.5 * np.exp(-2.0 * log_length))[:, None, None]))
         spectrum = (np.maximum(e, 0.0), target @ q, q.sum(axis=1))
-        return _profile(spectrum, np.exp(log_ratio), settings)
+        e, z, ones = (part[:, None, :] for part in spectrum)
+        n, ratio = e.shape[-1], np.exp(log_ratio)
+        total = e + ratio[:, None]
+        mean = (ones * z / total).sum(axis=-1) / (ones * ones / total).sum(axis=-1)
+        misfit = ((z - mean[..., None] * ones) ** 2 / total).sum(axis=-1)
+        low = settings.amplitude_bounds[0]
+        amplitude = np.maximum(misfit / n, floor / ratio)
+        amplitude = np.minimum(np.maximum(amplitude, low), top)
+        value = n * np.log(amplitude) + misfit / amplitude + np.log(total).sum(axis=-1)
+        return -0.5 * (value + n * LOG_2PI), mean, amplitude
 
     scan = lml(lengths, ratios)[0]
     i, j = np.unravel_index(int(scan.argmax()), scan.shape)
@@ -57,25 +70,6 @@ def fit_constant_mean(
     noise = float(np.exp(log_ratio)) * amplitude
     length = float(np.exp(log_length))
     return FittedGP(x, target - mean, amplitude, length, noise, mean=mean)
-
-
-def _profile(
-    spectrum: tuple[Array, Array, Array], ratios: Array, settings: GPSettings
-) -> tuple[Array, Array, Array]:
-    """LML of spectra (e, Q'y, Q'1), each (m, n), for (p,) noise ratios; the best mean, amplitude.
-
-    The likelihood has one maximum in the amplitude, so moving it into its bounds is exact.
-    """
-    e, z, ones = (part[:, None, :] for part in spectrum)
-    n = e.shape[-1]
-    total = e + ratios[:, None]
-    mean = (ones * z / total).sum(axis=-1) / (ones * ones / total).sum(axis=-1)
-    misfit = ((z - mean[..., None] * ones) ** 2 / total).sum(axis=-1)
-    low, high = settings.amplitude_bounds
-    amplitude = np.maximum(misfit / n, settings.noise_std**2 / ratios)
-    amplitude = np.minimum(np.maximum(amplitude, low), high)
-    value = n * np.log(amplitude) + misfit / amplitude + np.log(total).sum(axis=-1) + n * LOG_2PI
-    return -0.5 * value, mean, amplitude
 
 
 def _lengths(squared: Array, settings: GPSettings) -> Array:

@@ -23,3 +23,8 @@ PRIORS: Mapping[str, TransferPrior] = {
     "pendulum": replace(RATIO, log_gap_length=0.15),
 }
 """By family that it has not seen, where that is another one than of all."""
+
+
+def prior_without(family: str) -> TransferPrior:
+    """The prior that has not seen `family`."""
+    return PRIORS.get(family, PRIORS["all"])

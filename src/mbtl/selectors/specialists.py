@@ -23,7 +23,7 @@ from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
-from mbtl.models.priors import PRIORS
+from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.transfer_gp import TransferGP, likely_noise
 from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs, transfer_places
 from mbtl.selectors.base import (
@@ -82,7 +82,7 @@ class Specialists:
 
     def without(self, family: str) -> Specialists:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
-        return replace(self, prior=self.prior or PRIORS.get(family, PRIORS["all"]))
+        return replace(self, prior=self.prior or prior_without(family))
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
