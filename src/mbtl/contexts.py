@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array, Indices, uniform_weights
-from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known
 from mbtl.faults import harmless
 from mbtl.files import MALFORMED
 from mbtl.plain import short
@@ -674,8 +674,7 @@ def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:
         raise ContextMismatch(f"a context is a mapping such as {example}, got {context!r}")
     names = [axis.name for axis in axes]
     for key in context:
-        if key not in names:
-            raise unknown_name("axis", str(key), names)
+        check_known("axis", str(key), names)
     missing = [name for name in names if name not in context]
     if missing:
         raise ContextMismatch(
