@@ -73,7 +73,8 @@ def forecast(
     """
     here = space.encode_steps(context)
     distance = np.linalg.norm(space.steps[list(sources)] - here, axis=1)
-    basis: tuple[Basis, ...] = ("interpolated",) * len(sources)
+    between: Basis = "interpolated"
+    basis = (between,) * len(sources)
     target = _listed(space, context)
     if target is None:
         judged_on, weights = _neighbours(space, here)
