@@ -6,7 +6,6 @@ one after another, and serve every context with the best of the trained policies
 
 from __future__ import annotations
 
-import importlib
 import pkgutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,8 +46,13 @@ if TYPE_CHECKING:  # what `__getattr__` finds when it is asked for
     from mbtl.problems import CMDP, check_cmdp, get_cmdp
     from mbtl.zoo.benchmark import TransferMatrix, compare, load_matrix, load_transfers
 
-_LAZY = ("CMDP", "check_cmdp", "get_cmdp")
-"""Of `mbtl.problems`: imported when first used, so that `import mbtl` stays light."""
+_LATER = {
+    "plot": "mbtl.plot:",
+    "CMDP": "mbtl.problems:CMDP",
+    "check_cmdp": "mbtl.problems:check_cmdp",
+    "get_cmdp": "mbtl.problems:get_cmdp",
+}
+"""Imported when first used, so that `import mbtl` stays light."""
 
 __all__ = [
     "CMDP",
@@ -104,11 +108,7 @@ READERS["sb3"] = _read_sb3
 
 
 def __getattr__(name: str) -> Any:
-    if name == "plot":
-        return importlib.import_module("mbtl.plot")
-    if name in _LAZY:
-        return getattr(importlib.import_module("mbtl.problems"), name)
-    if name in __all__ and (home := laboratory().names.get(name)):
+    if name in __all__ and (home := _LATER.get(name) or laboratory().names.get(name)):
         return pkgutil.resolve_name(home)
     raise AttributeError(f"module 'mbtl' has no attribute {name!r}")
 

@@ -16,14 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
-from mbtl.models.transfer_kernel import NEW, Pairs
+from mbtl.models.linear_trend import LinearTrend
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import NEW
 from mbtl.objective import worst_share_mean
 
 __all__ = ["TIE", "RowGain", "argmax_open", "expected_gain", "optimistic_gain", "unit_improvement"]
@@ -103,7 +103,7 @@ def unit_improvement(z: Array) -> Array:
     return np.asarray(np.maximum(tail, 0.0) + np.maximum(z, 0.0))
 
 
-def argmax_open(values: Array, mask: NDArray[np.bool_]) -> int:
+def argmax_open(values: Array, mask: Mask) -> int:
     """Index of the largest value among the open ones; the lowest index on a tie.
 
     Raises:
@@ -148,19 +148,6 @@ _DRAWS = 4000
 """Samples of a row: the standard error of a chance is below 0.01."""
 
 
-class RowModel(Protocol):
-    """A posterior of rows, such as `mbtl.models.TransferGP`."""
-
-    def predict(self, sources: Pairs, targets: Pairs, /) -> tuple[Array, Array]:
-        """Mean and standard deviation (M, T) of J for new trainings."""
-
-    def predict_pairs(self, pairs: Pairs, /) -> tuple[Array, Array]:
-        """Mean and standard deviation (m,) of J at pairs (m, 3)."""
-
-    def draws(self, sources: Pairs, targets: Pairs, n: int, rng: np.random.Generator, /) -> Array:
-        """(n, M, T) samples of the rows of new trainings."""
-
-
 @dataclass(frozen=True)
 class RowGain:
     """What one more training may bring on T targets: gain in V of a whole new row.
@@ -186,21 +173,21 @@ class RowGain:
         risk: share of the targets, the worst of them, that V is the mean of.
     """
 
-    model: RowModel
-    targets: NDArray[np.intp]
+    model: TransferGP | LinearTrend
+    targets: Indices
     best: Array
     seen: float
     weights: Array
     risk: float = 1.0
 
-    def expected(self, candidates: NDArray[np.intp]) -> Array:
+    def expected(self, candidates: Indices) -> Array:
         """(M,) expected gain of each candidate; with a risk, the gain of what is expected."""
         gain = self.by_target(candidates)
         if self.risk == 1.0:
             return np.asarray(gain @ self.weights)
         return self._value(self.best + gain) - self._value(self.best)
 
-    def by_target(self, candidates: NDArray[np.intp]) -> Array:
+    def by_target(self, candidates: Indices) -> Array:
         """(M, T) expected gain of each candidate on each target, without weights."""
         mean, std = self.model.predict(candidates, self.targets)
         gain = unit_improvement((mean - self.best) / std)
@@ -218,9 +205,7 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def chance_together(
-        self, sources: NDArray[np.intp], targets: NDArray[np.intp], least: float
-    ) -> float:
+    def chance_together(self, sources: Indices, targets: Indices, least: float) -> float:
         """Probability that trainings on all of M sources together gain `least` or more.
 
         Without those ceilings, so that a study ends rather too late than too early.

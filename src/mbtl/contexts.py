@@ -24,10 +24,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from mbtl.arrays import Array, uniform_weights
-from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known, unknown_name
+from mbtl.arrays import Array, Indices, uniform_weights
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, check_known
 from mbtl.faults import harmless
 from mbtl.files import MALFORMED
 from mbtl.plain import short
@@ -308,21 +308,29 @@ def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
     """The values of an axis on a grid: themselves, or so many that are evenly spread.
 
     Raises:
-        InvalidInput: neither a number of values nor values, or far too many.
+        InvalidInput: no axis, neither a number of values nor rising values, or far too many.
     """
-    if not isinstance(given, (int, np.integer)):
-        try:
-            return axis.own(list(given))
-        except TypeError:
+    if not isinstance(axis, Axis):
+        raise InvalidInput(f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}")
+    if isinstance(given, (int, np.integer)):
+        if not 1 <= given <= MOST:
             raise InvalidInput(
-                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
-            ) from None
-    count = int(given)
-    if not 1 <= count <= MOST:
+                f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(int(given))}"
+            )
+        return axis.spread(int(given))
+    try:
+        values = axis.own(list(given))
+    except TypeError:
         raise InvalidInput(
-            f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
+            f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
+        ) from None
+    if not values:
+        raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
+    if not isinstance(axis, Categorical) and (np.diff(np.asarray(values, float)) <= 0).any():
+        raise InvalidInput(
+            f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
         )
-    return axis.spread(count)
+    return values
 
 
 def _check_names(name: str, unit: str) -> None:
@@ -401,21 +409,7 @@ class ContextSpace:
             InvalidInput: values are not strictly increasing.
             ContextMismatch: a value lies outside its axis.
         """
-        for axis in axes:
-            if not isinstance(axis, Axis):
-                raise InvalidInput(
-                    f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}"
-                )
         levels = [grid_values(axis, given) for axis, given in axes.items()]
-        for axis, values in zip(axes, levels, strict=True):
-            if not values:
-                raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
-            if not isinstance(axis, Categorical) and np.any(
-                np.diff(np.asarray(values, float)) <= 0
-            ):
-                raise InvalidInput(
-                    f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
-                )
         shape = tuple(len(values) for values in levels)
         if (n := math.prod(shape)) > MOST:
             raise InvalidInput(f"a context space has at most {MOST:,} contexts, got {n:,}")
@@ -512,7 +506,7 @@ class ContextSpace:
             return self.describe(self.context(contexts[0]), between)
         return "all contexts" if len(contexts) == self.n else f"{len(contexts)} contexts"
 
-    def named(self, indices: Sequence[int] | NDArray[np.intp]) -> Callable[[int], str]:
+    def named(self, indices: Sequence[int] | Indices) -> Callable[[int], str]:
         """What the place-th of these contexts is called, for messages."""
         return lambda place: self.describe(self.context(int(indices[place])))
 
@@ -626,12 +620,7 @@ class ContextSpace:
     @cached_property
     def _levels(self) -> list[list[Value]]:
         """Per axis, its distinct values in grid order."""
-        assert self.shape is not None
-        strides = [int(np.prod(self.shape[q + 1 :])) for q in range(self.d)]
-        return [
-            [column[j * stride] for j in range(n)]
-            for column, stride, n in zip(self._columns, strides, self.shape, strict=True)
-        ]
+        return [list(dict.fromkeys(column)) for column in self._columns]
 
     def _to_steps(self, unit: Array) -> Array:
         """(n, D) unit-cube coordinates in grid steps; those of levels stay as they are.
@@ -685,8 +674,7 @@ def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:
         raise ContextMismatch(f"a context is a mapping such as {example}, got {context!r}")
     names = [axis.name for axis in axes]
     for key in context:
-        if key not in names:
-            raise unknown_name("axis", str(key), names)
+        check_known("axis", str(key), names)
     missing = [name for name in names if name not in context]
     if missing:
         raise ContextMismatch(

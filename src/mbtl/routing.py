@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import ContextSpace
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.history import USUAL
@@ -28,7 +27,6 @@ from mbtl.objective import worst_share_mean, worst_share_weights
 
 __all__ = ["TIE_DECIMALS", "Routing", "Valuation", "last_route", "rank", "routed", "routes"]
 
-Indices = NDArray[np.intp]
 
 TIE_DECIMALS = 12
 """Performances that are equal to so many decimals are a tie."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -39,15 +39,10 @@ def check(
     if json:
         print_json({"target": target, **report.to_json()})
     else:
-        _print(report)
+        table = Table(box=None, show_header=False, pad_edge=False)
+        for found in report.checks:
+            outcome = Text(found.outcome, _STYLE[found.outcome])
+            table.add_row(outcome, Text(found.name), Text(found.detail))
+        printer().print(table)
+        printer().print(Text(f"{report.subject}: {report.said}"))
     report.raise_if_failed()
-
-
-def _print(report: Any) -> None:
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for found in report.checks:
-        style = _STYLE[found.outcome]
-        table.add_row(Text(found.outcome, style), Text(found.name), Text(found.detail))
-    out = printer()
-    out.print(table)
-    out.print(Text(f"{report.subject}: {report.said}"))

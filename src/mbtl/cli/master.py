@@ -62,7 +62,8 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
         begin_again(study)
     if study.is_finished:
         return
-    _say(f"start workers, as many as you like, wherever the database is reached:\n  {start}")
+    where = "wherever the database is reached"
+    console.say(f"start workers, as many as you like, {where}:\n  {start}", "yellow")
     said = ""
     while True:
         state = study.refresh()
@@ -72,12 +73,8 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
         if state.failures:
             done += f"; {len(state.failures)} failed"
         if done != said and state.picks:
-            _say(done)
+            console.say(done, "yellow")
         if study.is_finished:
             return
         said = done
         time.sleep(_LOOK)
-
-
-def _say(line: str) -> None:
-    console.say(line, "yellow")

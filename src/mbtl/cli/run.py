@@ -110,19 +110,17 @@ def run(
             "below 1, which has none; leave one out"
         )
     pay = budget if steps is None else Steps(steps_of(steps))
-    cmdp = resolve_cmdp(problem, engine=engine, score=score)
+    switches = {"engine": engine, "score": score}
+    cmdp = resolve_cmdp(problem, **switches)
     get_strategy(strategy)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
             "--episodes"
         )
-    overrides: dict[str, Any] = {
-        "timesteps": timesteps,
-        "episodes": episodes,
-        "eval_episodes": eval_episodes,
-    }
-    cmdp = cmdp.recipe(preset, **{k: v for k, v in overrides.items() if v is not None})
+    lengths: dict[str, Any] = {"timesteps": timesteps, "episodes": episodes}
+    lengths["eval_episodes"] = eval_episodes
+    cmdp = cmdp.recipe(preset, **{k: v for k, v in lengths.items() if v is not None})
     pay_how = "-steps" if steps is not None else ""
     recipe = cmdp.facts().settings["preset"]
     folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
@@ -157,15 +155,8 @@ def run(
     trainer, ended = cmdp.facts().trainer, None
     assert trainer is not None
     if workers is not None:
-        start = command(
-            workers,
-            running.name,
-            problem,
-            strategy,
-            engine=engine,
-            score=score,
-            artifacts=artifacts,
-        )
+        given = {**switches, "artifacts": artifacts}
+        start = command(workers, running.name, problem, strategy, **given)
         running.equip(trainer, accept_changes=accept_changes)  # workers hear of other code at once
         follow(running, start, retry_failed=retry_failed)
     with LiveProgress(running, console) as live:
@@ -213,11 +204,9 @@ def steps_of(text: str) -> int:
 
 def _announce(study: Study, folder: Path) -> None:
     spec = study.spec
-    going_on = (
-        f", going on after {study.state.spent_words(answered=True)}"
-        if study.state.rows and not study.is_finished
-        else ""
-    )
+    going_on = ""
+    if study.state.rows and not study.is_finished:
+        going_on = f", going on after {study.state.spent_words(answered=True)}"
     console.say(f"{spec.problem}: {study.space!r}, {spec.size}, study in {folder}{going_on}")
 
 

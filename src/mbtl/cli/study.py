@@ -68,8 +68,7 @@ def list_studies(
         return
     if not rows:
         where = f"in {shown(place)}" if "://" in place else f"below {place}"
-        said = f"no studies {where}; `mbtl run cartpole-length` makes one"
-        printer().say(said)
+        printer().say(f"no studies {where}; `mbtl run cartpole-length` makes one")
         return
     table = Table(box=box.SIMPLE, show_edge=False)
     for head in ("study", "strategy", "asked for", "failed", "V", "state"):

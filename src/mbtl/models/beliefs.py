@@ -21,14 +21,11 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.models.priors import PRIORS
 from mbtl.models.transfer_gp import ENOUGH, TransferGP, likely_noise
 from mbtl.models.transfer_kernel import Located, Pairs, Places, TransferPrior, transfer_places
-
-Indices = NDArray[np.intp]
 
 _MOST, _LEAST = 1000, 200
 """Observations that the model is conditioned on: fewer where many entries are asked about."""
@@ -63,7 +60,8 @@ class Beliefs:
         self._space, self._rows = space, rows
         self._sources = np.asarray(sources, dtype=np.intp)
         self._own_share, self._prior = own, prior or PRIORS["all"]
-        self.measured: NDArray[np.bool_] = np.isfinite(rows)
+        self.measured: Mask = np.isfinite(rows)
+        self._models: dict[int, tuple[TransferGP, tuple[Indices, Indices], Mask]] = {}
         self._true: Array | None = None  # variances
         if errors is not None and np.nan_to_num(errors).any():
             self._true = np.square(np.nan_to_num(errors))
@@ -73,7 +71,7 @@ class Beliefs:
         """True where the rows are complete and no noise is known to be in them."""
         return self._true is None and bool(self.measured.all())
 
-    def unsure(self, row: Indices, target: Indices) -> NDArray[np.bool_]:
+    def unsure(self, row: Indices, target: Indices) -> Mask:
         """Where something is to be believed, because nothing or not enough was measured."""
         noisy = False if self._true is None else self._true[row, target] > 0
         return np.asarray(~self.measured[row, target] | noisy)
@@ -189,7 +187,7 @@ class Beliefs:
         noise = None if self._true is None else self._noise(self._even, row, target)
         return self._pairs(row, target), self._rows[row, target], noise
 
-    def _model(self, asked: int) -> tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]:
+    def _model(self, asked: int) -> tuple[TransferGP, tuple[Indices, Indices], Mask]:
         """The model, the entries it was conditioned on, and (k, N) which these are."""
         most = int(np.clip(np.sqrt(_WORK / max(asked, 1)), _LEAST, _MOST))
         if most not in self._models:
@@ -199,10 +197,6 @@ class Beliefs:
             used[observed] = True
             self._models[most] = model, observed, used
         return self._models[most]
-
-    @cached_property
-    def _models(self) -> dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]]:
-        return {}
 
     def _gain(self, deviations: Array, row: Indices, target: Indices) -> Array:
         """How much of the way from what is believed of entries to what was measured there."""

@@ -8,8 +8,6 @@ scanned on a grid, one eigendecomposition per length-scale, and the best is refi
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -44,48 +42,34 @@ def fit_constant_mean(
     least = floor / top  # so that an amplitude within bounds always allows the least noise
     ratios = np.linspace(np.log(least), np.log(max(_MOST_NOISE, 10.0 * least)), _RATIOS)
 
-    def lml(log_length: Array, log_ratio: Array) -> _Profile:
+    def lml(log_length: Array, log_ratio: Array) -> tuple[Array, Array, Array]:
+        """(lengths, ratios) likelihood at the best mean and amplitude, and these two.
+
+        It has one maximum in the amplitude, so moving that into its bounds is exact.
+        """
         e, q = np.linalg.eigh(np.exp(squared * (-0.5 * np.exp(-2.0 * log_length))[:, None, None]))
         spectrum = (np.maximum(e, 0.0), target @ q, q.sum(axis=1))
-        return _profile(spectrum, np.exp(log_ratio), settings)
+        e, z, ones = (part[:, None, :] for part in spectrum)
+        n, ratio = e.shape[-1], np.exp(log_ratio)
+        total = e + ratio[:, None]
+        mean = (ones * z / total).sum(axis=-1) / (ones * ones / total).sum(axis=-1)
+        misfit = ((z - mean[..., None] * ones) ** 2 / total).sum(axis=-1)
+        low = settings.amplitude_bounds[0]
+        amplitude = np.maximum(misfit / n, floor / ratio)
+        amplitude = np.minimum(np.maximum(amplitude, low), top)
+        value = n * np.log(amplitude) + misfit / amplitude + np.log(total).sum(axis=-1)
+        return -0.5 * (value + n * LOG_2PI), mean, amplitude
 
-    scan = lml(lengths, ratios).value
+    scan = lml(lengths, ratios)[0]
     i, j = np.unravel_index(int(scan.argmax()), scan.shape)
     bounds = [(lengths[0], lengths[-1]), (ratios[0], ratios[-1])]
-    found = minimize(
-        lambda p: -lml(p[:1], p[1:]).value[0, 0], (lengths[i], ratios[j]), bounds=bounds
-    )
+    found = minimize(lambda p: -lml(p[:1], p[1:])[0][0, 0], (lengths[i], ratios[j]), bounds=bounds)
     log_length, log_ratio = found.x if -found.fun >= scan[i, j] else (lengths[i], ratios[j])
     best = lml(np.array([log_length]), np.array([log_ratio]))
-    mean, amplitude = float(best.mean[0, 0]), float(best.amplitude[0, 0])
+    mean, amplitude = (float(part[0, 0]) for part in best[1:])
     noise = float(np.exp(log_ratio)) * amplitude
     length = float(np.exp(log_length))
     return FittedGP(x, target - mean, amplitude, length, noise, mean=mean)
-
-
-class _Profile(NamedTuple):
-    """(lengths, ratios) likelihood at the best mean and amplitude, and these two."""
-
-    value: Array
-    mean: Array
-    amplitude: Array
-
-
-def _profile(spectrum: tuple[Array, Array, Array], ratios: Array, settings: GPSettings) -> _Profile:
-    """LML of spectra (e, Q'y, Q'1), each (m, n), for (p,) noise ratios.
-
-    The likelihood has one maximum in the amplitude, so moving it into its bounds is exact.
-    """
-    e, z, ones = (part[:, None, :] for part in spectrum)
-    n = e.shape[-1]
-    total = e + ratios[:, None]
-    mean = (ones * z / total).sum(axis=-1) / (ones * ones / total).sum(axis=-1)
-    misfit = ((z - mean[..., None] * ones) ** 2 / total).sum(axis=-1)
-    low, high = settings.amplitude_bounds
-    amplitude = np.maximum(misfit / n, settings.noise_std**2 / ratios)
-    amplitude = np.minimum(np.maximum(amplitude, low), high)
-    value = n * np.log(amplitude) + misfit / amplitude + np.log(total).sum(axis=-1) + n * LOG_2PI
-    return _Profile(-0.5 * value, mean, amplitude)
 
 
 def _lengths(squared: Array, settings: GPSettings) -> Array:

@@ -175,9 +175,7 @@ def fit_gp(points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None) 
     """
     settings = settings or GPSettings()
     x, target = checked_data(points, y)
-    squared = squared_distances(x, x)
-    profile = _Profile(squared, target, settings)
-    length, amplitude = profile.maximise()
+    length, amplitude = _Profile(squared_distances(x, x), target, settings).maximise()
     return FittedGP(x, target, amplitude, length, settings.noise_std**2)
 
 
@@ -235,14 +233,19 @@ class _Profile:
         terms += np.log(scaled, out=scaled)
         grid = -0.5 * terms.sum(axis=-1)
         log_c = self.log_amplitudes[grid.argmax(axis=1)]
+        low, high = self.log_amplitudes[0], self.log_amplitudes[-1]
         for _ in range(3):
-            log_c = self._within(log_c + self._amplitude_step(log_c, e, z2))
+            found = log_c + self._amplitude_step(log_c, e, z2)
+            log_c = np.minimum(np.maximum(found, low), high)  # `np.clip` takes four times as long
         total = np.exp(log_c)[:, None] * e + self.noise
         polished = -0.5 * (z2 / total + np.log(total)).sum(axis=1)
         return np.maximum(polished, grid.max(axis=1)) - 0.5 * len(self.y) * LOG_2PI, log_c
 
     def _amplitude_step(self, log_c: Array, e: Array, z2: Array) -> Array:
-        """(m,) Newton steps from the derivatives of LML in the log amplitude."""
+        """(m,) Newton steps from the derivatives of LML in the log amplitude.
+
+        At most 1, and uphill where the curvature has the wrong sign.
+        """
         signal = np.exp(log_c)[:, None] * e
         total = signal + self.noise
         share = signal / total
@@ -250,12 +253,8 @@ class _Profile:
         excess = fit - share
         slope = 0.5 * excess.sum(axis=1)
         curve = 0.5 * (excess - share * (excess + fit)).sum(axis=1)
-        return np.asarray(_safe_step(slope, curve))
-
-    def _within(self, log_c: Array | float) -> Array:
-        """Log amplitudes moved into their bounds; `np.clip` takes four times as long."""
-        low, high = self.log_amplitudes[0], self.log_amplitudes[-1]
-        return np.asarray(np.minimum(np.maximum(log_c, low), high))
+        step = slope / np.maximum(-curve, 1e-3 + 0.1 * np.abs(slope))
+        return np.asarray(np.minimum(np.maximum(step, -1.0), 1.0))
 
     def _climb(self, low: float, high: float) -> tuple[float, float, float]:
         """(LML, log length-scale, log amplitude) of the top between two log length-scales."""
@@ -269,9 +268,3 @@ class _Profile:
         )
         values, logs = self._scan(np.array([found.x]))
         return float(values[0]), float(found.x), float(logs[0])
-
-
-def _safe_step(slope: Array, curve: Array) -> Array:
-    """Newton step to a maximum, at most 1, and uphill where the curvature has the wrong sign."""
-    step = slope / np.maximum(-curve, 1e-3 + 0.1 * np.abs(slope))
-    return np.asarray(np.minimum(np.maximum(step, -1.0), 1.0))

@@ -119,10 +119,11 @@ class TransferGP:
         only known noise is smoothed away. That the mean mu is fitted counts as well.
         """
         mean, std = np.empty((2, len(pairs)))
+        own = variance(self._prior) + self._prior.noise
         with threads_for(len(self._places.x)):
             for some in _blocks(len(pairs), len(self._pairs)):
                 half, mean[some], unsure = self._weighed(pairs[some])
-                left = self._own - np.einsum("ij,ij->j", half, half) + unsure**2
+                left = own - np.einsum("ij,ij->j", half, half) + unsure**2
                 std[some] = np.sqrt(self.scale * np.maximum(left, 0.0))
         return mean, std
 
@@ -156,17 +157,9 @@ class TransferGP:
             left += np.outer(unsure, unsure)
             left *= self.scale
             if excess is not None:
-                from scipy.linalg import solve_triangular  # kept out of `import mbtl`
-
-                weights = solve_triangular(
-                    self._chol, half, lower=True, trans="T", check_finite=False
-                )
+                weights = half_solved(self._chol, half, "T")
                 left += weights.T @ excess @ weights
         return mean, left
-
-    @property
-    def _own(self) -> float:
-        return variance(self._prior) + self._prior.noise
 
     def _weighed(self, pairs: Pairs) -> tuple[Array, Array, Array]:
         """Covariances with the data, halved; the mean; what not knowing mu adds, a deviation."""
@@ -201,9 +194,9 @@ class _Fit(NamedTuple):
 
 def _fit(kernel: Array, own: float, y: Array, noise: Array | None) -> _Fit:
     """Mean and factor of the data, with `own` noise (relative) and a known one (absolute)."""
-    if noise is None or not noise.any():
-        return _fit_relative(kernel, own, y)
     found = _fit_relative(kernel, own, y)
+    if noise is None or not noise.any():
+        return found
     own_part = own if noise.ndim == 1 else own * np.eye(len(y))
     for _ in range(_ROUNDS):  # the known noise is absolute and the kernel is not: fixed point
         before = found.scale
@@ -227,11 +220,11 @@ def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     return _Fit(chol, residual, ones, mean, scale, float(likelihood))
 
 
-def half_solved(chol: Array, right: Array) -> Array:
-    """L^-1 times the right-hand side."""
+def half_solved(chol: Array, right: Array, trans: str = "N") -> Array:
+    """L^-1, or of it the transpose ("T"), times the right-hand side."""
     from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
-    return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))
+    return np.asarray(solve_triangular(chol, right, trans, lower=True, check_finite=False))
 
 
 def likely_noise(

@@ -21,13 +21,12 @@ from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.contexts import Axis, Categorical, Log
 from mbtl.errors import InvalidInput
 
-Pairs = NDArray[np.intp]
+Pairs = Indices
 
 NEW = -1
 """Training number of a source that would be trained anew, whatever was trained there before."""
@@ -192,9 +191,9 @@ def grid_pairs(sources: Pairs, targets: Pairs, trainings: Pairs | None = None) -
     return np.column_stack([source, np.tile(targets, len(sources)), training])
 
 
-def same_pair(a: Pairs, b: Pairs) -> NDArray[np.bool_]:
+def same_pair(a: Pairs, b: Pairs) -> Mask:
     """(m, n) True where both are one training on one target."""
-    same: NDArray[np.bool_] = a[:, 1][:, None] == b[:, 1]
+    same: Mask = a[:, 1][:, None] == b[:, 1]
     same &= a[:, 2][:, None] == b[:, 2]
     return same
 
@@ -221,7 +220,7 @@ def _matern(distance: Array, length: float) -> Array:
     return scaled
 
 
-def _distinct(indices: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _distinct(indices: Indices) -> tuple[Indices, Indices]:
     """The distinct contexts, and where each index stands among them."""
     some, at = np.unique(indices, return_inverse=True)
     return some, at

@@ -45,13 +45,15 @@ def curve(
     Raises:
         MissingExtra: matplotlib is not installed.
     """
-    ax = axes_for(ax)
+    ax, margins = axes_for(ax), None
     if isinstance(study, Study):
-        values, margins, said = _measured(study)
-        k = study.state.units()
+        values, k = study.curve, study.state.units()
+        said = f"{study.spec.selector['name']}, estimated"
+        if study.state.rows and study.routing.noise_is_known:
+            margins = np.array([now.margin for now in study.routing.curve])
         ax.set_title(f"{study.spec.problem or study.name}: {study.space.n} contexts")
     else:
-        values, margins, said = np.asarray(study, dtype=np.float64), None, "V"
+        values, said = np.asarray(study, dtype=np.float64), "V"
         k = np.arange(1.0, len(values) + 1.0)
     for i, (name, level) in enumerate((levels or {}).items()):
         ax.axhline(level, color=GREY, lw=0.9, ls=_DASHES[3 - i % 2], label=name, zorder=1)
@@ -103,14 +105,6 @@ def comparison(comparison: Any, matrix: str | None = None, *, ax: Any = None) ->
         ax.axhline(level, color=GREY, lw=0.9, ls=_DASHES[2 - (name == "Independent")], label=name)
     ax.set_title(f"{matrix}: {one.n_seeds} seed{'s' * (one.n_seeds > 1)}")
     return _finish(ax)
-
-
-def _measured(study: Study) -> tuple[Array, Array | None, str]:
-    """V after each training, half its 95 % interval where known, and what it is called."""
-    selector, margins = study.spec.selector["name"], None
-    if study.state.rows and study.routing.noise_is_known:
-        margins = np.array([now.margin for now in study.routing.curve])
-    return study.curve, margins, f"{selector}, estimated"
 
 
 def _seeds(ax: Any, rows: Array, name: str, number: int) -> None:

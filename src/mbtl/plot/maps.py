@@ -7,9 +7,8 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.plot.style import GREY, axes_for, cells, distinct, dress, edges, number, positions, styled
@@ -48,11 +47,34 @@ def policy_map(
     space, patches = result.space, _patches(result)
     if space.d == 1:
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
-    drawn, ax = _pair(space, over), axes_for(ax, 6.8, 4.2)
-    where, here = _middle(space, [axis for axis in space.axes if axis not in drawn])
-    lined = _territory(result, patches, ax, drawn, here)
-    said = f"; lines: performance {_BY}" if lined else ""
-    ax.set_title(f"which policy serves{where}{said}", fontsize=8)
+    from matplotlib.colors import ListedColormap
+
+    drawn, ax, routing = _pair(space, over), axes_for(ax, 6.8, 4.2), result.routing
+    said, here = _middle(space, [axis for axis in space.axes if axis not in drawn])
+    x, y = (positions(axis, space.values(axis.name)) for axis in drawn)
+    rank = {policy: place for place, policy in enumerate(patches)}
+    code = np.array([rank[i] for i in routing.route[here].tolist()], dtype=float)
+    look: Any = {
+        "cmap": ListedColormap([patch.get_facecolor() for patch in patches.values()]),
+        "vmin": -0.5, "vmax": len(patches) - 0.5,
+    }  # fmt: skip
+    if space.shape is None:
+        ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
+    else:  # one context in a cell
+        across, up, table = cells(x[here], y[here], code)
+        ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
+        served = cells(x[here], y[here], routing.served[here])[2]
+        ordered = not any(isinstance(axis, Categorical) for axis in drawn)
+        whole = ordered and len(here) == space.n and min(served.shape) > 1
+        if whole and np.ptp(served) > 0:
+            lines = ax.contour(across, up, served, 4, colors="black", linewidths=0.6, alpha=0.7)
+            ax.clabel(lines, fontsize=6)
+            said += f"; lines: performance {_BY}"
+    for axis, side in zip(drawn, "xy", strict=True):
+        dress(ax, axis, side)
+    inside = set(here.tolist())
+    _mark(ax, x, y, {p: source for p, source in _placed(result).items() if source in inside})
+    ax.set_title(f"which policy serves{said}", fontsize=8)
     _legend(ax, patches)
     return ax
 
@@ -81,12 +103,11 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
 
 def _placed(result: Study | Portfolio) -> dict[int, int]:
     """Context of every policy that has one: those trained on several have no place."""
-    sets = (
-        result.sets
-        if isinstance(result, Portfolio)
-        else [i for i, row in enumerate(result.state.rows) if len(row.sources) > 1]
-    )
-    return {i: source for i, source in enumerate(result.routing.sources) if i not in sets}
+    if isinstance(result, Portfolio):
+        several = set(result.sets)
+    else:
+        several = {i for i, row in enumerate(result.state.rows) if len(row.sources) > 1}
+    return {i: source for i, source in enumerate(result.routing.sources) if i not in several}
 
 
 def _legend(ax: Any, patches: Mapping[int, Any]) -> None:
@@ -114,45 +135,7 @@ def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> An
     return ax
 
 
-def _territory(
-    result: Study | Portfolio,
-    patches: Mapping[int, Any],
-    ax: Any,
-    drawn: tuple[Axis, Axis],
-    here: NDArray[np.intp],
-) -> bool:
-    """Some contexts over two axes, coloured by policy; whether there are lines of performance."""
-    from matplotlib.colors import ListedColormap
-
-    space, routing = result.space, result.routing
-    x, y = (positions(axis, space.values(axis.name)) for axis in drawn)
-    rank = {policy: place for place, policy in enumerate(patches)}
-    code = np.array([rank[i] for i in routing.route[here].tolist()], dtype=float)
-    look: Any = {
-        "cmap": ListedColormap([patch.get_facecolor() for patch in patches.values()]),
-        "vmin": -0.5, "vmax": len(patches) - 0.5,
-    }  # fmt: skip
-    lined = False
-    if space.shape is None:
-        ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
-    else:  # one context in a cell
-        across, up, table = cells(x[here], y[here], code)
-        ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
-        served = cells(x[here], y[here], routing.served[here])[2]
-        ordered = not any(isinstance(axis, Categorical) for axis in drawn)
-        whole = ordered and len(here) == space.n and min(served.shape) > 1
-        lined = bool(whole and np.ptp(served) > 0)
-        if lined:
-            lines = ax.contour(across, up, served, 4, colors="black", linewidths=0.6, alpha=0.7)
-            ax.clabel(lines, fontsize=6)
-    for axis, side in zip(drawn, "xy", strict=True):
-        dress(ax, axis, side)
-    inside = set(here.tolist())
-    _mark(ax, x, y, {p: source for p, source in _placed(result).items() if source in inside})
-    return lined
-
-
-def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, NDArray[np.intp]]:
+def _middle(space: ContextSpace, others: Sequence[Axis]) -> tuple[str, Indices]:
     """The contexts at the middle values of other axes, and words for that; of a list all."""
     here, words = np.arange(space.n), list[str]()
     for axis in others if space.shape is not None else ():

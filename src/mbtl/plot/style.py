@@ -36,9 +36,8 @@ def style() -> AbstractContextManager[None]:
     """
     with needs("matplotlib", "plots"):
         from matplotlib.style import context
-    found: AbstractContextManager[None] = context(
-        str(resources.files("mbtl.plot") / "mbtl.mplstyle")
-    )
+    place = str(resources.files("mbtl.plot") / "mbtl.mplstyle")
+    found: AbstractContextManager[None] = context(place)
     return found
 
 

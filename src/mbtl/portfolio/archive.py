@@ -141,33 +141,30 @@ def load_policy(
         return load(folder)
     if is_mlp_folder(regular_files(folder, "a policy")):
         return MLPPolicy.load(folder)
-    if policy_format in READERS and not trust:
+    if policy_format not in READERS:
+        raise InvalidInput(
+            f"policies of format {policy_format!r} are read by the trainer that wrote them; pass "
+            "load=<function from folder to policy>"
+        )
+    if not trust:
         raise InvalidInput(
             f"a Stable-Baselines3 zip can run code of whoever made it, and {folder} has no other "
             "copy of its policy; if you trust its maker, pass trust=True (--trust), or the trainer "
             "that wrote it"
         )
-    if policy_format in READERS:
-        return READERS[policy_format](folder)
-    raise InvalidInput(
-        f"policies of format {policy_format!r} are read by the trainer that wrote them; pass "
-        "load=<function from folder to policy>"
-    )
+    return READERS[policy_format](folder)
 
 
 # ---- writing -----------------------------------------------------------------------------------
 
 
 def _check_place(folder: Path, overwrite: bool) -> None:
-    if folder.is_dir() and not any(folder.iterdir()):
-        return
     if (folder / MANIFEST).is_file():
-        if overwrite:
-            return
-        raise InvalidInput(
-            f"{folder} already holds a portfolio; pass overwrite=True or another folder"
-        )
-    if folder.exists():
+        if not overwrite:
+            raise InvalidInput(
+                f"{folder} already holds a portfolio; pass overwrite=True or another folder"
+            )
+    elif folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise InvalidInput(
             f"a portfolio needs a folder of its own, got {folder} with other content"
         )

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import Episodes, checked_returns, completed
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, check_known
@@ -84,13 +83,11 @@ class Portfolio:
         returns.setflags(write=False)
         sources = tuple(int(source) for source in self.sources)
         folders = tuple(self.policy_folders) or (None,) * len(sources)
-        object.__setattr__(self, "returns", returns)
-        object.__setattr__(self, "sources", sources)
-        object.__setattr__(self, "policy_folders", folders)
         episodes = tuple(np.asarray(each, dtype=np.float64) for each in self.episodes)
-        object.__setattr__(self, "episodes", episodes)
         sets = {int(i): tuple(int(c) for c in on) for i, on in self.sets.items()}
-        object.__setattr__(self, "sets", sets)
+        own = {"returns": returns, "sources": sources, "episodes": episodes, "sets": sets}
+        for name, value in {**own, "policy_folders": folders}.items():
+            object.__setattr__(self, name, value)
         self._loaded.update(self.in_memory)
         k, n, shapes = len(sources), self.space.n, [each.shape for each in episodes]
         fit = (
@@ -184,7 +181,7 @@ class Portfolio:
         check_known("way to treat a context outside", outside, ("error", "nearest"))
         return self.space.nearest(dict(context)) if outside == "nearest" else context
 
-    def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, NDArray[np.intp]]:
+    def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, Indices]:
         """What the policies should achieve on a context, and their places, the best first."""
         seen = forecast(self.space, self.sources, self.routing.beliefs, context)
         sources = np.asarray(self.sources, dtype=np.intp)
@@ -199,15 +196,12 @@ class Portfolio:
 
         Luck that policies share is in a return and cancels in a difference between two.
         """
-        row = np.full(len(seen.weights), policy)
-        target, weights = seen.judged_on, seen.weights
-        if less is not None:
-            row, target = np.append(row, np.full(len(row), less)), np.tile(target, 2)
-            weights = np.append(weights, -weights)
-        beliefs = self.routing.beliefs
-        if not self.routing.noise_is_known and beliefs.measured[row, target].any():
+        routing, here = self.routing, seen.judged_on
+        both = [policy] if less is None else [policy, less]
+        if not routing.noise_is_known and routing.beliefs.measured[both][:, here].any():
             return None
-        error = self.routing.tails * beliefs.error(row, target, weights)
+        row = np.full(len(here), policy)
+        error = routing.tails * routing.error(row, here, seen.weights, less)
         if seen.target is None:
             error = float(np.hypot(error, np.sqrt(seen.between(policy, less))))
         if error == 0.0 and seen.target is None:
@@ -345,10 +339,9 @@ class Portfolio:
         rows: dict[int, Array] = {}
         for policy in sorted({choice.policy for choice in choices}):
             mine = [i for i, choice in enumerate(choices) if choice.policy == policy]
-            played = trainer.evaluate(
-                self.policy(policy), [some[i] for i in mine], [seeds[i] for i in mine]
-            )
-            told = checked_returns(played, len(mine), [some[i] for i in mine], gaps=True)
+            here = [some[i] for i in mine]
+            played = trainer.evaluate(self.policy(policy), here, [seeds[i] for i in mine])
+            told = checked_returns(played, len(mine), here, gaps=True)
             rows |= dict(zip(mine, told, strict=True))
         returns = completed(np.array([rows[i] for i in range(len(some))]), gaps=True)
         there = np.flatnonzero(np.isfinite(returns).all(axis=1)).tolist()
@@ -422,14 +415,12 @@ class Portfolio:
         return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
 
     def _saved_policies(self) -> list[SavedPolicy]:
-        names: list[str] = []
-        for source in self.sources:
-            same = sum(source == other for other in self.sources[: len(names)])
-            names.append(f"source-{source:04d}" + (f"-{same + 1}" if same else ""))
-        return [
-            (name, None if folder is None else Path(folder), self.in_memory.get(i))
-            for i, (name, folder) in enumerate(zip(names, self.policy_folders, strict=True))
-        ]
+        found: list[SavedPolicy] = []
+        for i, (source, folder) in enumerate(zip(self.sources, self.policy_folders, strict=True)):
+            same = self.sources[:i].count(source)
+            name = f"source-{source:04d}" + (f"-{same + 1}" if same else "")
+            found.append((name, None if folder is None else Path(folder), self.in_memory.get(i)))
+        return found
 
 
 def _played(each: Array) -> Array:

@@ -20,16 +20,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Categorical, Context, ContextSpace, Value
 from mbtl.errors import ContextMismatch
 from mbtl.models.beliefs import Beliefs
 from mbtl.routing import SURE
 
 Basis = Literal["observed", "predicted", "interpolated"]
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace, Value
 from mbtl.episodes import episode_moments, margin_of_sum
-from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, TrainingFailed
+from mbtl.errors import ContextMismatch, MbtlError, TrainingFailed
 from mbtl.faults import FAULTS, reason_of
 from mbtl.portfolio import Choice, Portfolio
 from mbtl.problems.cmdp import CMDP
@@ -89,15 +89,14 @@ def adapt(
         InvalidInput: the trainer cannot begin with a policy, or a length that is not above 0.
         TrainingFailed: the training or an evaluation fails.
     """
-    if not length > 0.0:
-        raise InvalidInput(f"a policy is tuned for a length > 0, got {length!r}")
     trainer = problem.facts().trainer
     assert trainer is not None
     target = dict(to)
     choice = portfolio.explain(target)
     check_asked(trainer, [target], start=choice, length=length)
     begun = replace(portfolio, load=trainer.load).policy(choice.policy)
-    home = nearest_listed(portfolio, target)
+    here, listed = portfolio.space.encode_steps(target), portfolio.space.steps
+    home = int(np.linalg.norm(listed - here, axis=1).argmin())  # the nearest in grid steps
     own = training_seed(seed, 0, home, lineage=(1, choice.policy))
     seeds = evaluation_seeds(seed, 0, [portfolio.space.n + home], Purpose.REPORT)
     try:
@@ -192,9 +191,3 @@ def _with_target(portfolio: Portfolio, adapted: Adapted) -> tuple[ContextSpace, 
         some = adapted.before[: served.shape[1]]
         served[home, : len(some)] = some if portfolio.episodes else adapted.before.mean()
     return space, known
-
-
-def nearest_listed(portfolio: Portfolio, context: Mapping[str, Value]) -> int:
-    """Index of the listed context that is nearest in grid steps."""
-    here = portfolio.space.encode_steps(context)
-    return int(np.linalg.norm(portfolio.space.steps - here, axis=1).argmin())

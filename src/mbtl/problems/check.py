@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -190,8 +190,7 @@ class CheckReport:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        checks = [{"name": c.name, "outcome": c.outcome, "detail": c.detail} for c in self.checks]
-        return {"subject": self.subject, "ok": self.ok, "checks": checks}
+        return {"subject": self.subject, "ok": self.ok, "checks": list(map(asdict, self.checks))}
 
 
 # ---- the dynamics --------------------------------------------------------------------------------
@@ -415,17 +414,15 @@ class Probe:
     def _corner_contexts(self) -> list[Context]:
         """All combinations of extreme values of a small grid, else one axis at an extreme."""
         if self.space.shape is None:  # a list of points may not allow combinations of its values
-            return self._listed_extremes()
+            columns = self.space.unit.T
+            rows = {int(i) for column in columns for i in (column.argmin(), column.argmax())}
+            return [self.space.context(i) for i in sorted(rows)]
         product = itertools.product(*map(_outer, self._ends.values()))
         some = itertools.islice(product, _MOST_CORNERS + 1)
         corners: list[Context] = [dict(zip(self._ends, c, strict=True)) for c in some]
         if len(corners) <= _MOST_CORNERS:
             return corners
         return [{**self._base, axis: v} for axis, vs in self._ends.items() for v in _outer(vs)]
-
-    def _listed_extremes(self) -> list[Context]:
-        rows = {int(i) for column in self.space.unit.T for i in (column.argmin(), column.argmax())}
-        return [self.space.context(i) for i in sorted(rows)]
 
     def _extremes(self) -> tuple[Context, Context]:
         """Two contexts that differ in every axis, where the space has such."""
@@ -438,8 +435,7 @@ def _ends(space: ContextSpace, axis: str) -> list[Value]:
     values = list(dict.fromkeys(space.values(axis)))
     if any(isinstance(a, Categorical) for a in space.axes if a.name == axis):
         return values
-    numbers: list[float] = sorted(values)  # type: ignore[arg-type]
-    return [*dict.fromkeys((numbers[0], numbers[-1]))]
+    return _outer(sorted(values))
 
 
 def _last_info(env: Any, steps: int, seed: int) -> Mapping[str, Any] | None:

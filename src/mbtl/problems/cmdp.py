@@ -7,11 +7,10 @@ functions (`CMDP.from_functions`), from an environment factory (`CMDP.from_env`)
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import KW_ONLY, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -78,7 +77,7 @@ class Preset:
 
     def options(self) -> dict[str, Any]:
         """What the recipe asks of the trainer; settings it leaves alone are absent."""
-        chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        chosen = {f.name: getattr(self, f.name) for f in fields(self)}
         del chosen["budget"], chosen["description"]
         return {name: value for name, value in chosen.items() if value is not None}
 
@@ -423,7 +422,7 @@ class CMDP:
             raise InvalidInput(f"a trial is a whole number >= 0, got {trial}")
         name = self.default_preset if preset is None else preset
         made = self.trainer_for(name, **overrides) if trainer is None else trainer
-        return dataclasses.replace(self, chosen=Chosen(name, made, trial))
+        return replace(self, chosen=Chosen(name, made, trial))
 
     def study(self, **settings: Any) -> Study:
         """Start a study of this problem; `study.run()` then trains with its recipe.
@@ -440,28 +439,26 @@ class CMDP:
         """The same on a coarser grid: each `step`-th value per axis (`ContextSpace.every`)."""
         space = self.space.every(step)
         presets = {
-            name: dataclasses.replace(preset, budget=min(preset.budget, space.n))
+            name: replace(preset, budget=min(preset.budget, space.n))
             for name, preset in self.presets.items()
         }
         theta = None if self.theta is None else self.theta * step
         settings = {**self.settings, "every": step}
-        return dataclasses.replace(
-            self, space=space, theta=theta, presets=presets, settings=settings
-        )
+        return replace(self, space=space, theta=theta, presets=presets, settings=settings)
 
     # ---- inside ------------------------------------------------------------------------------
 
     def _with_options(self, options: Mapping[str, Any]) -> Trainer:
         trainer: Any = self.trainer
-        if isinstance(trainer, FunctionTrainer) or not dataclasses.is_dataclass(trainer):
+        if isinstance(trainer, FunctionTrainer) or not is_dataclass(trainer):
             raise InvalidInput(
                 f"{self.id!r} is trained by its own code, which takes no options, got "
                 f"{', '.join(sorted(options))}; set them there"
             )
-        known = [f.name for f in dataclasses.fields(trainer) if f.init]
+        known = [f.name for f in fields(trainer) if f.init]
         for name in options:
             check_known(f"training option of {self.id!r}", name, known)
-        changed: Any = dataclasses.replace(trainer, **options)  # type: ignore[type-var]
+        changed: Any = replace(trainer, **options)  # type: ignore[type-var]
         return cast(Trainer, changed)
 
     def _check_numbers(self) -> None:

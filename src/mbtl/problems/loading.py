@@ -55,12 +55,9 @@ def resolve_cmdp(name: str, **switches: Any) -> CMDP:
         )
     found = load_object(name)
     if not isinstance(found, CMDP):
+        is_function = callable(found) and not isinstance(found, type)
         raise InvalidInput(
-            f"{name!r} must be a CMDP, got {_kind(found)}; build one with CMDP.from_functions or "
-            "CMDP.from_env"
+            f"{name!r} must be a CMDP, got {'a function' if is_function else repr(type(found))}; "
+            "build one with CMDP.from_functions or CMDP.from_env"
         )
     return found
-
-
-def _kind(found: Any) -> str:
-    return "a function" if callable(found) and not isinstance(found, type) else repr(type(found))

@@ -12,9 +12,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.history import History
-from mbtl.plot.style import distinct
+from mbtl.plot.style import distinct, positions
 from mbtl.report.subject import Subject
-from mbtl.routing import Routing, rank
+from mbtl.routing import Routing, last_route
 from mbtl.selectors.outlook import outlook
 
 
@@ -61,17 +61,15 @@ def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
     """Names, units and the place of every context on each axis."""
     out = []
     for axis in space.axes:
-        values = space.values(axis.name)
-        names = list(axis.choices) if isinstance(axis, Categorical) else None
-        places = [names.index(v) for v in values] if names else values
+        choices = axis.choices if isinstance(axis, Categorical) else None
         out.append(
             {
                 "name": axis.name,
                 "unit": axis.unit,
                 "label": axis.label,
                 "log": isinstance(axis, Log),
-                "choices": None if names is None else [str(name) for name in names],
-                "values": np.asarray(places, dtype=np.float64),
+                "choices": None if choices is None else list(map(str, choices)),
+                "values": positions(axis, space.values(axis.name)),
             }
         )
     return out
@@ -80,13 +78,12 @@ def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
 def served_by(routing: Routing, performance: Array) -> dict[str, Any]:
     """Who serves each context, how well, and who would if not."""
     believed, route, steps = routing.believed, routing.route, routing.space.steps
-    sources, every = np.asarray(routing.sources), np.arange(routing.space.n)
+    sources, every = routing.sources, np.arange(routing.space.n)
     second = np.full(len(every), -1)
     if len(sources) > 1:
-        for target in every.tolist():
-            distance = np.linalg.norm(steps[sources] - steps[target], axis=1)
-            order = rank(believed[:, target], distance, sources)
-            second[target] = next(i for i in order if i != route[target])
+        others = believed.copy()
+        others[route, every] = -np.inf
+        second = last_route(others, sources, steps)
     return {
         "policy": route,
         "colours": distinct(len(sources)),

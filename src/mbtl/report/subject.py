@@ -12,9 +12,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.report.reference import REFERENCE_NAMES, reference_curves
@@ -77,7 +76,7 @@ class Subject:
     levels: Mapping[str, float] = field(default_factory=dict)
     sentences: tuple[str, ...] = ()
     measured: Array | None = None
-    sources: NDArray[np.intp] | None = None
+    sources: Indices | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     finished: bool = True
     headline: tuple[str, ...] = ()
@@ -192,11 +191,8 @@ def _next_steps(study: Study, summary: StudySummary) -> tuple[tuple[str, str], .
         return ()
     portfolio, steps = folder / "portfolio", list[tuple[str, str]]()
     if (portfolio / "portfolio.json").is_file():
-        own = (
-            ", load=your_load"
-            if (study.state.equipment or {}).get("policy_format") == "custom"
-            else ""
-        )
+        custom = (study.state.equipment or {}).get("policy_format") == "custom"
+        own = ", load=your_load" if custom else ""
         context = study.space.context(study.space.n // 2)
         call = f"mbtl.load_portfolio({str(portfolio)!r}{own}).policy_for({context!r})"
         steps.append(("Serve a context", call))

@@ -8,13 +8,12 @@ same.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.objective import Bounds, value, worst_share_mean, worst_share_weights
 from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.routing import Routing
@@ -29,7 +28,7 @@ ENOUGH = 0.99
 """Share of the portfolio's gain over its best single policy that counts as all of it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StudySummary:
     """A study in numbers.
 
@@ -95,31 +94,31 @@ class StudySummary:
     finished: str | None
     bounds: tuple[float, float]
     automatic_bounds: bool
-    episodes: tuple[int, int] | None
-    evaluated: tuple[int, int] | None
-    alike: tuple[tuple[int, ...], ...]
+    episodes: tuple[int, int] | None = None
+    evaluated: tuple[int, int] | None = None
+    alike: tuple[tuple[int, ...], ...] = ()
     picks: tuple[Training, ...]
-    value: float | None
-    value_margin: float | None
-    measured: float | None
-    fresh_value: float | None
-    fresh_margin: float | None
-    fresh_episodes: int | None
-    fresh_contexts: int | None
-    fresh_lost: int | None
+    value: float | None = None
+    value_margin: float | None = None
+    measured: float | None = None
+    fresh_value: float | None = None
+    fresh_margin: float | None = None
+    fresh_episodes: int | None = None
+    fresh_contexts: int | None = None
+    fresh_lost: int | None = None
     risk: float
-    worst_tenth: float | None
-    worst_context: int | None
-    worst_context_value: float | None
-    best_single: int | None
-    best_single_value: float | None
-    single_gain: float | None
-    single_gain_margin: float | None
-    policies_enough: tuple[int, ...]
-    served_by_others: int | None
-    most_needed: str | None
-    serving: tuple[int, ...]
-    served: tuple[float, ...]
+    worst_tenth: float | None = None
+    worst_context: int | None = None
+    worst_context_value: float | None = None
+    best_single: int | None = None
+    best_single_value: float | None = None
+    single_gain: float | None = None
+    single_gain_margin: float | None = None
+    policies_enough: tuple[int, ...] = ()
+    served_by_others: int | None = None
+    most_needed: str | None = None
+    serving: tuple[int, ...] = ()
+    served: tuple[float, ...] = ()
     baselines: tuple[Baseline, ...]
     behind: tuple[tuple[int, str], ...]
     score: tuple[str, str]
@@ -224,7 +223,7 @@ def summarise_study(study: Study) -> StudySummary:
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
-        "picks": tuple(sorted(trainings, key=_told_first)),
+        "picks": tuple(sorted(trainings, key=lambda one: (one.place is None, one.place or 0))),
         "baselines": () if fresh is None else fresh.baselines,
         "behind": _behind(state.fresh, state.bounds()),
         "score": _score_of(study),
@@ -232,10 +231,7 @@ def summarise_study(study: Study) -> StudySummary:
         "metric_units": {} if state.fresh is None else dict(state.fresh.units),
     }
     if not len(history):
-        empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
-        return StudySummary(
-            **{**empty, "alike": (), "serving": (), "served": (), "policies_enough": (), **common}
-        )
+        return StudySummary(**common)
     routing, known = study.routing, study.routing.noise_is_known
     now = routing.value
     if fresh is None:
@@ -278,7 +274,7 @@ def summarise_study(study: Study) -> StudySummary:
     )
 
 
-def worst_first(routing: Routing) -> NDArray[np.intp]:
+def worst_first(routing: Routing) -> Indices:
     """Contexts that count, those believed to be served worst first: fresh luck chooses nothing."""
     order = np.argsort(routing.served, kind="stable")
     return np.asarray(order[routing.space.weights[order] > 0.0])
@@ -318,10 +314,6 @@ def _metrics(fresh: FreshReturns | None, weights: Array) -> dict[str, dict[str, 
                 own = found.setdefault(who, {})
                 own[name] = float(np.average(means[there], weights=weights[there]))
     return found
-
-
-def _told_first(one: Training) -> tuple[bool, int]:
-    return one.place is None, one.place or 0
 
 
 def _alike(rows: Sequence[ToldRow]) -> tuple[tuple[int, ...], ...]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array, unwritable
+from mbtl.arrays import Array, Indices, Mask, unwritable
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
@@ -56,7 +55,7 @@ class SelectionProblem:
     risk: float = 1.0
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
-    trainable: NDArray[np.bool_] | None = None
+    trainable: Mask | None = None
     abilities: frozenset[str] | None = None
     assumed: bool = False
 
@@ -83,8 +82,7 @@ class SelectionProblem:
             )
         if self.costs is not None and not (
             self.costs.shape == (self.n,)
-            and (self.costs >= 1.0 / LARGEST).all()
-            and (self.costs <= LARGEST).all()
+            and ((self.costs >= 1.0 / LARGEST) & (self.costs <= LARGEST)).all()
         ):
             raise InvalidInput(
                 f"costs must be {self.n} numbers from {1.0 / LARGEST:g} to {LARGEST:g}, one per "
@@ -110,12 +108,17 @@ class SelectionProblem:
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
 
     @property
+    def alone(self) -> SelectionProblem:
+        """As a selector has it: specialists are all that is asked for."""
+        return replace(self, budget=min(self.budget, len(self.sources)), abilities=None)
+
+    @property
     def n(self) -> int:
         """Number of contexts N."""
         return len(self.steps)
 
     @cached_property
-    def sources(self) -> NDArray[np.intp]:
+    def sources(self) -> Indices:
         """(M,) indices of the contexts that one may train on."""
         here = np.arange(self.n) if self.trainable is None else np.flatnonzero(self.trainable)
         return unwritable(here)
@@ -216,7 +219,7 @@ class Exhausted(StudyError):
     """Every context has been trained, is pending, or failed; or none is cheap enough."""
 
 
-def open_candidates(problem: SelectionProblem, history: History) -> NDArray[np.bool_]:
+def open_candidates(problem: SelectionProblem, history: History) -> Mask:
     """(N,) mask of the contexts that may be proposed and that the cost budget still allows.
 
     Raises:
@@ -292,22 +295,20 @@ def success_chance(problem: SelectionProblem, history: History) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(odds / 2.0))
 
 
-def likely_candidates(
-    problem: SelectionProblem, history: History, mask: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def likely_candidates(problem: SelectionProblem, history: History, mask: Mask) -> Mask:
     """(N,) those of `mask` where a training more likely than not gives a policy; all if none."""
     likely = mask & (success_chance(problem, history) >= 0.5)
     return likely if likely.any() else mask
 
 
-def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_]) -> int:
+def nearest_open(problem: SelectionProblem, point: Array, mask: Mask) -> int:
     """Open context nearest to `point` (D,) in grid steps; the lowest index on a tie."""
     distance = np.sqrt(((problem.steps - point) ** 2).sum(axis=1))
     distance[~mask] = np.inf
     return int(np.flatnonzero(distance <= distance.min() + 1e-9)[0])
 
 
-def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: NDArray[np.bool_]) -> int:
+def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: Mask) -> int:
     """Open context whose nearest taken one is farthest; the lowest index on a tie."""
     nearest = nearest_distance(problem.steps, problem.steps[list(taken)])
     nearest[~mask] = -np.inf
@@ -322,7 +323,7 @@ def nearest_distance(points: Array, taken: Array) -> Array:
     return nearest
 
 
-def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:
+def first_pick(problem: SelectionProblem, history: History, mask: Mask) -> Proposal:
     """Before any row is known: the middle, then far from what is under way or failed."""
     taken = [*history.pending, *history.failed]
     if taken:
@@ -335,7 +336,7 @@ def centre(problem: SelectionProblem) -> Array:
     return np.asarray((problem.steps.min(axis=0) + problem.steps.max(axis=0)) / 2.0)
 
 
-def spread(problem: SelectionProblem, among: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
     """At most `most` of the contexts, spread over the space, always the same ones."""
     if len(among) <= most:
         return among
@@ -346,6 +347,6 @@ def spread(problem: SelectionProblem, among: NDArray[np.intp], most: int) -> NDA
 
 
 @lru_cache(maxsize=1)
-def _shuffled(n: int) -> NDArray[np.intp]:
+def _shuffled(n: int) -> Indices:
     """(n,) place of each context in a random order, always the same."""
     return np.argsort(np.random.default_rng(0).permutation(n))

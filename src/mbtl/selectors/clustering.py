@@ -32,10 +32,9 @@ class KMeansSelector:
     ) -> Proposal:
         """The open context nearest to the next centre; the lowest index on a tie."""
         mask = open_candidates(problem, history)
-        begun = len(history.sources) + len(history.pending) + len(history.failed)
         unit, weights = problem.unit, problem.weights
         centres = _centres(unit.tobytes(), weights.tobytes(), unit.shape, problem.budget)
-        distance = np.linalg.norm(unit - centres[begun % problem.budget], axis=1)
+        distance = np.linalg.norm(unit - centres[len(history.tried) % problem.budget], axis=1)
         distance[~mask] = np.inf
         source = int(np.flatnonzero(distance <= distance.min() + 1e-9)[0])
         return Proposal(source, f"centre of one of {problem.budget} clusters")

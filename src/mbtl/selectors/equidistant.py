@@ -25,9 +25,8 @@ class Equidistant:
         """Next midpoint; raises `InvalidInput` when there is more than one axis."""
         line = problem.line
         mask = open_candidates(problem, history)
-        k = len(history.sources) + len(history.pending) + len(history.failed)
+        k, budget = len(history.tried), problem.budget
         low, high = float(line.min()), float(line.max())
-        budget = problem.budget
         target = low + (high - low) * (1 - 1 / (2 * budget) - (k % budget) / budget)
         return Proposal(
             nearest_open(problem, np.array([target]), mask), f"cell midpoint of {budget}"

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Mask
 from mbtl.history import History
 from mbtl.models import GPSettings
 from mbtl.models.constant_mean_gp import fit_constant_mean
@@ -60,14 +59,12 @@ class GPMBTL:
     ) -> Proposal:
         """Middle, warm-up, then the argmax of the gain; ties to the lowest index."""
         mask = open_candidates(problem, history)
-        if not (history.sources or history.pending or history.failed):
+        if not history.tried:
             return middle(problem, mask)
         early = start(problem, history, mask, self.warm_up)
         return self.acquire(problem, history, mask) if early is None else early
 
-    def acquire(
-        self, problem: SelectionProblem, history: History, mask: NDArray[np.bool_]
-    ) -> Proposal:
+    def acquire(self, problem: SelectionProblem, history: History, mask: Mask) -> Proposal:
         """The pick by GP and gap; one training performance must be known."""
         steps = problem.steps
         gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)

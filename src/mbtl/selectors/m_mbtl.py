@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.history import History
 from mbtl.selectors.base import (
     Proposal,
@@ -72,13 +71,13 @@ class MMBTL:
         nearer = float((covered - cost) @ problem.weights)
         return Proposal(source, "centre of the least covered cluster", nearer)
 
-    def _starts(self, n: int) -> NDArray[np.intp]:
+    def _starts(self, n: int) -> Indices:
         if n <= self.starts:
             return np.arange(n)
         return np.sort(np.random.default_rng(_SEED).choice(n, self.starts, replace=False))
 
 
-def middle(problem: SelectionProblem, mask: NDArray[np.bool_]) -> Proposal:
+def middle(problem: SelectionProblem, mask: Mask) -> Proposal:
     """The mean of all contexts, rounded half to even as published (our own rule rounds down)."""
     centre = _rounded(problem, problem.weights @ problem.steps)
     return Proposal(nearest_open(problem, centre, mask), "middle of the range")
@@ -118,9 +117,7 @@ def settle(problem: SelectionProblem, covered: Array, starts: Array) -> tuple[Ar
     return centres, costs
 
 
-def _best_open(
-    problem: SelectionProblem, mask: NDArray[np.bool_], centres: Array, costs: Array
-) -> int:
+def _best_open(problem: SelectionProblem, mask: Mask, centres: Array, costs: Array) -> int:
     """The context of the cheapest centre that is open, the first of equals."""
     left = np.ones(len(costs), dtype=bool)
     everything = np.ones(problem.n, dtype=bool)

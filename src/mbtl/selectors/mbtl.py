@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.acquisition import expected_gain
-from mbtl.arrays import Array
+from mbtl.acquisition import expected_gain, optimistic_gain
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings, fit_gp
+from mbtl.models import GPSettings, fit_gp
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import (
     Outlook,
@@ -31,14 +30,10 @@ from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
     gain_by_pairs,
-    linear_rows,
     observed_incumbent,
-    optimistic_gains,
     predicted_rows,
 )
 from mbtl.selectors.worst_first import worst_context
-
-Indices = NDArray[np.intp]
 
 
 def ucb_weight(k: int, n: int) -> float:
@@ -89,46 +84,39 @@ class MBTL:
         early = start(problem, history, mask, self.warm_up)
         if early is not None:
             return early
-        gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
-        mean, std = gp.predict(problem.steps)
-        gain, asked, notes = self._gain(problem, history, mask, gp, mean, std)
+        _, std, gain, asked, notes = self._judged(problem, history, mask)
         kind = "expected" if self.acquisition == "ei" else "optimistic"
-        notes = (*gp.notes, *notes)
         return choose(problem, history, gain, std, asked, f"largest {kind} gain", notes)
 
-    def outlook(
-        self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
-    ) -> Outlook:
+    def outlook(self, problem: SelectionProblem, history: History, candidates: Indices) -> Outlook:
         """The posterior and the acquisition, with the number of the next pick."""
-        gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
-        mean, std = gp.predict(problem.steps)
         every = np.ones(problem.n, dtype=bool)
-        gain, _, _ = self._gain(problem, history, every, gp, mean, std)
+        mean, std, gain, *_ = self._judged(problem, history, every)
         return Outlook(self.name, mean, std, gain)
 
-    def _gain(
-        self,
-        problem: SelectionProblem,
-        history: History,
-        mask: NDArray[np.bool_],
-        gp: FittedGP,
-        mean: Array,
-        std: Array,
-    ) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-        """(N,) acquisition, where it was asked, and notes; see `gain_by_pairs`."""
+    def _judged(
+        self, problem: SelectionProblem, history: History, mask: Mask
+    ) -> tuple[Array, Array, Array, Mask, tuple[str, ...]]:
+        """(N,) posterior mean and deviation, and acquisition with what `gain_by_pairs` says."""
         where, theta = problem.steps, problem.theta
-        best = observed_incumbent(problem, history, linear_rows(problem, gp))
-        best = np.maximum(best, self._least)
-        if self.acquisition == "ei":
-
-            def expected(x: Indices, t: Indices, weights: Array) -> Array:
-                places = (where[x], where[t])
-                return expected_gain(mean[x], std[x], *places, best[t], weights, theta=theta)
-
-            return gain_by_pairs(problem, mask, expected)
+        gp = fit_posterior(problem, history, self._observed(history), self.gp, self.fitter)
+        mean, std = gp.predict(where)
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(self._weight(k, problem.n)) * std
-        return optimistic_gains(problem, mask, upper, best, theta)
+
+        def rows_of(sources: Array) -> Array:
+            return predicted_rows(gp.predict(sources)[0], sources, where, theta)
+
+        best = np.maximum(observed_incumbent(problem, history, rows_of), self._least)
+
+        def gain_of(x: Indices, t: Indices, weights: Array) -> Array:
+            rest = (where[x], where[t], best[t], weights)
+            if self.acquisition == "ei":
+                return expected_gain(mean[x], std[x], *rest, theta=theta)
+            return optimistic_gain(upper[x], *rest, theta=theta)
+
+        gain, asked, notes = gain_by_pairs(problem, mask, gain_of)
+        return mean, std, gain, asked, (*gp.notes, *notes)
 
     # ---- what another form of the rule has otherwise --------------------------------------------
 
@@ -154,22 +142,18 @@ class MBTLEI(MBTL):
     name: str = "mbtl-ei"
 
 
-def start(
-    problem: SelectionProblem, history: History, mask: NDArray[np.bool_], warm_up: int
-) -> Proposal | None:
+def start(problem: SelectionProblem, history: History, mask: Mask, warm_up: int) -> Proposal | None:
     """The middle, then `warm_up` worst-first picks; None once the model should decide.
 
     Warm-up goes on while no training performance is known, since there is nothing to fit.
     """
-    told = len(history)
-    begun = told + len(history.pending) + len(history.failed)
-    if told == 0:
+    if not history.sources:
         return first_pick(problem, history, mask)
-    if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
+    known = history.training_performance[np.isfinite(history.training_performance)]
+    if len(history.tried) < 1 + warm_up or not known.size:
         best = served(problem, history)
-        own_performance = history.training_performance[np.isfinite(history.training_performance)]
-        if history.pending and own_performance.size:  # others serve the contexts around them
-            own = np.full(len(history.pending), own_performance.mean())
+        if history.pending and known.size:  # others serve the contexts around them
+            own = np.full(len(history.pending), known.mean())
             pending = problem.steps[list(history.pending)]
             rows = predicted_rows(own, pending, problem.steps, problem.theta)
             best = np.fmax(best, rows.max(axis=0))

@@ -6,17 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.acquisition import argmax_open, optimistic_gain
-from mbtl.arrays import Array
+from mbtl.acquisition import argmax_open
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import MbtlError
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings, fit_gp
+from mbtl.models import FittedGP, GPSettings
 from mbtl.models.gp import Fitter, squared_distances
 from mbtl.selectors.base import Proposal, SelectionProblem, served, spread, success_chance
 
-GainOf = Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]
+GainOf = Callable[[Indices, Indices, Array], Array]
 MOST = 4000
 """Contexts that are candidates, and targets, where every pair of them takes time."""
 _NOTHING = 1e-12  # cmdp-spec 8.2: an acquisition below this everywhere says nothing
@@ -27,7 +26,7 @@ def fit_posterior(
     history: History,
     targets: Array,
     settings: GPSettings,
-    fitter: Fitter = fit_gp,
+    fitter: Fitter,
 ) -> FittedGP:
     """GP of the training performance on grid steps, pending picks believed at their mean.
 
@@ -63,36 +62,24 @@ def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> Fit
     return FittedGP(points, y, amplitude, length, noise, (note,))
 
 
-def observed_best(problem: SelectionProblem, history: History) -> Array:
-    """(N,) best performance per target in the observed rows.
-
-    Of policies not evaluated there, what the transfer model believes; 0 where nothing is known.
-    """
-    best = served(problem, history)
-    return np.where(np.isfinite(best), best, 0.0)
-
-
 def observed_incumbent(
     problem: SelectionProblem, history: History, rows_of: Callable[[Array], Array]
 ) -> Array:
-    """(N,) `observed_best`, and what pending picks are believed to give.
+    """(N,) best performance per target in the observed rows, and believed of pending picks.
+
+    Of policies not evaluated there, what the transfer model believes; 0 where nothing is known.
 
     Args:
         problem: gives the grid steps.
         history: what was observed, and what is pending.
         rows_of: (k, D) grid steps of sources to the (k, N) rows that are believed of them.
     """
-    best = observed_best(problem, history)
+    best = served(problem, history)
+    best = np.where(np.isfinite(best), best, 0.0)
     if not history.pending:
         return best
     believed = rows_of(problem.steps[list(history.pending)])
     return np.asarray(np.fmax(best, believed.max(axis=0)))
-
-
-def linear_rows(problem: SelectionProblem, gp: FittedGP) -> Callable[[Array], Array]:
-    """Rows as the posterior of the training performance and the linear gap predict them."""
-    steps, theta = problem.steps, problem.theta
-    return lambda sources: predicted_rows(gp.predict(sources)[0], sources, steps, theta)
 
 
 def predicted_rows(
@@ -111,8 +98,8 @@ def predicted_rows(
 
 
 def gain_by_pairs(
-    problem: SelectionProblem, mask: NDArray[np.bool_], gain_of: GainOf
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    problem: SelectionProblem, mask: Mask, gain_of: GainOf
+) -> tuple[Array, Mask, tuple[str, ...]]:
     """A gain that takes time for every pair of a candidate and a target.
 
     Of more than `MOST` contexts so many open ones are candidates and so many targets, spread over
@@ -140,24 +127,12 @@ def gain_by_pairs(
     return gain, asked, (note,)
 
 
-def optimistic_gains(
-    problem: SelectionProblem, mask: NDArray[np.bool_], upper: Array, best: Array, theta: float
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """`optimistic_gain` as `gain_by_pairs` gives it."""
-    where = problem.steps
-
-    def gain_of(x: NDArray[np.intp], t: NDArray[np.intp], weights: Array) -> Array:
-        return optimistic_gain(upper[x], where[x], where[t], best[t], weights, theta=theta)
-
-    return gain_by_pairs(problem, mask, gain_of)
-
-
 def choose(
     problem: SelectionProblem,
     history: History,
     acquisition: Array,
     std: Array,
-    mask: NDArray[np.bool_],
+    mask: Mask,
     reason: str,
     notes: tuple[str, ...],
 ) -> Proposal:

@@ -11,7 +11,7 @@ Notation (shapes): k rows observed, N targets, D columns of grid steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -96,9 +96,7 @@ class SDMBTL:
         else:
             why = "no mountain"
             proposal = self.model.acquire(problem, history, mask)
-        return Proposal(
-            proposal.source, f"{why}: {proposal.reason}", proposal.acquisition, proposal.notes
-        )
+        return replace(proposal, reason=f"{why}: {proposal.reason}")
 
 
 def detect(problem: SelectionProblem, history: History) -> Structure | None:

@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.acquisition import TIE, RowGain, argmax_open
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
@@ -38,9 +37,6 @@ from mbtl.selectors.base import (
     success_chance,
 )
 from mbtl.selectors.contract import Traits
-
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
@@ -120,6 +116,7 @@ class Specialists:
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Conditioned
     ) -> Proposal:
+        """The largest gain per cost; far from all where nothing is to be gained."""
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
@@ -133,15 +130,27 @@ class Specialists:
             problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending,
             first.expected,
         )  # fmt: skip
-        left = (
-            None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
-        )
+        left = _chance_left(first, candidates, gain, problem)
         if outlook is not first:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
             gain = outlook.expected(candidates)
-        chosen = _largest(problem, history, outlook, candidates, gain, costs)
-        return replace(chosen, chance_left=left)
+        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
+        source = int(candidates[best])
+        if gain[best] <= TIE:
+            source = farthest_open(problem, [*history.sources, *history.pending], mask)
+            reason = "no predicted gain anywhere: far from what was tried"
+            return Proposal(source, reason, 0.0, chance_left=left)
+        reason = "largest expected gain"
+        if isinstance(outlook.model, LinearTrend):
+            reason += " by straight lines"
+        if problem.costs is not None:
+            reason += " per cost"
+        counted = int(np.count_nonzero(problem.weights))
+        sampling = outlook.standard_error(source, counted)
+        judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
+        shown = round(float(gain[best]), 10)  # the last digits depend on the order of sums
+        return Proposal(source, reason, shown, (judged,) if sampling else (), left)
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Conditioned:
         """Condition the model on the rows, at some of the targets."""
@@ -176,45 +185,15 @@ class Specialists:
         return beliefs.row_gain(spread(problem, counted, _TREND_TARGETS))
 
 
-def _largest(
-    problem: SelectionProblem,
-    history: History,
-    outlook: RowGain,
-    candidates: Indices,
-    gain: Array,
-    costs: Array,
-) -> Proposal:
-    """The candidate of the largest gain per cost; far from all where nothing is to be gained."""
-    best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
-    source = int(candidates[best])
-    if gain[best] <= TIE:
-        mask = open_candidates(problem, history)
-        source = farthest_open(problem, [*history.sources, *history.pending], mask)
-        return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
-    reason = "largest expected gain"
-    if isinstance(outlook.model, LinearTrend):
-        reason += " by straight lines"
-    if problem.costs is not None:
-        reason += " per cost"
-    counted = int(np.count_nonzero(problem.weights))
-    sampling = outlook.standard_error(source, counted)
-    judged = f"gain +- {sampling:.2g}, judged on {len(outlook.targets)} of {counted} targets"
-    return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
-
-
-def _shown(gain: float) -> float:
-    """Rounded: the last digits depend on the order of sums."""
-    return round(float(gain), 10)
-
-
 def _chance_left(
     outlook: RowGain, candidates: Indices, gain: Array, problem: SelectionProblem
-) -> float:
-    """That trainings on all contexts left together gain `least_left` or more.
+) -> float | None:
+    """That trainings on all contexts left together gain `least_left` or more, where it is asked.
 
     The most promising and some spread ones stand for all of them, and few targets for all targets.
     """
-    assert problem.least_left is not None
+    if problem.least_left is None:
+        return None
     best = candidates[np.argsort(-gain, kind="stable")[: _LEFT // 2]]
     rest = np.setdiff1d(candidates, best)
     sources = np.union1d(best, spread(problem, rest, _LEFT - len(best)))

@@ -10,13 +10,10 @@ Notation (shapes): N contexts, D columns, T targets.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Categorical
 from mbtl.selectors.base import SelectionProblem
-
-Indices = NDArray[np.intp]
 
 _SAMPLE = 5000
 """Contexts that are clustered, where there are more."""

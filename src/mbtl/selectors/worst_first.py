@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.acquisition import TIE
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Mask
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates, served
 from mbtl.selectors.contract import Traits
@@ -32,7 +31,7 @@ class WorstFirst:
         return Proposal(worst_context(served(problem, history), mask), "worst context so far")
 
 
-def worst_context(best: Array, mask: NDArray[np.bool_]) -> int:
+def worst_context(best: Array, mask: Mask) -> int:
     """Open context with the lowest generalisation performance; the lowest index on a tie."""
     open_best = np.where(mask, best, np.inf)
     return int(np.flatnonzero(open_best <= open_best.min() + TIE)[0])

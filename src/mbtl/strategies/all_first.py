@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -36,9 +36,7 @@ class AllFirst:
         """All contexts, if that was not tried; else what the selector says."""
         if (first := on_all(problem, history)) is not None:
             return first
-        units = min(problem.budget, len(problem.sources))
-        alone = replace(problem, budget=units, abilities=None)
-        return self.selector.propose(alone, history.specialists(), rng)
+        return self.selector.propose(problem.alone, history.specialists(), rng)
 
 
 def on_all(problem: SelectionProblem, history: History) -> Proposal | None:

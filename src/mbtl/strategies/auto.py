@@ -107,7 +107,7 @@ class Auto:
         if standing.everybody is None:
             if problem.costs is None and standing.left < 1.0 - _LEAST:  # else some may be cheap
                 raise Exhausted("of the budget there is less left than a whole training")
-            chosen = self.chooser.propose(standing.alone, history.specialists(), rng)
+            chosen = self.chooser.propose(problem.alone, history.specialists(), rng)
             return replace(chosen, notes=(*chosen.notes, *standing.missing))
         options = self._options(standing, rng)
         if not options:
@@ -124,7 +124,7 @@ class Auto:
         if standing.left < 1.0 - _LEAST or (most < rate and problem.least_left is None):
             return options
         try:
-            chosen = self.chooser.propose(standing.alone, known, rng)
+            chosen = self.chooser.propose(problem.alone, known, rng)
         except Exhausted:
             return options
         done, gain = len(known), usual
@@ -175,7 +175,10 @@ class Auto:
         The most is what the last ones added to V, for the best comes first. While the first one is
         under way, which will show what specialists are worth, another one is worth less.
         """
-        usual, made = self.fresh_share * standing.usual, standing.history.made
+        assert standing.everybody is not None
+        made = standing.history.made
+        longest = max(made(standing.everybody).length, 1.0)  # less is left, the longer that was
+        usual = self.fresh_share * (standing.headroom / longest)
         if not len(known):
             usual /= 1.0 + len(known.pending)
         rows = [row for row in range(len(standing.history)) if made(row).is_specialist]
@@ -209,12 +212,6 @@ class Standing:
         if "sets" not in self.abilities:
             return (_UNKNOWN if self.problem.assumed else _ONE_AT_A_TIME,)
         return () if "start" in self.abilities else (_FROM_SCRATCH,)
-
-    @cached_property
-    def alone(self) -> SelectionProblem:
-        """The problem as a selector has it."""
-        units = min(self.problem.budget, len(self.problem.sources))
-        return replace(self.problem, budget=units, abilities=None)
 
     @property
     def left(self) -> float:
@@ -264,12 +261,6 @@ class Standing:
     def headroom(self) -> float:
         """How far V is from performance 1, and no less than a little."""
         return max(1.0 - self.value(self.best), _LITTLE)
-
-    @property
-    def usual(self) -> float:
-        """Headroom, less of it the longer the policy for all was trained."""
-        assert self.everybody is not None
-        return self.headroom / max(self.history.made(self.everybody).length, 1.0)
 
     @cached_property
     def doublings(self) -> list[tuple[float, float]]:

@@ -16,7 +16,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -303,7 +303,7 @@ def reference_rows(
 
 
 @dataclass(frozen=True)
-class FunctionTrainer:
+class FunctionTrainer(Trainer):
     """A trainer from plain functions, each of which is given what its signature takes.
 
         train(context, seed) -> policy                                 # specialists, whole
@@ -334,9 +334,6 @@ class FunctionTrainer:
     load_fn: Callable[[Path], Any] | None = None
     policy_format: str = "custom"
     score: str | None = None
-
-    whole: ClassVar[int | None] = None
-    counts: ClassVar[Literal["steps", "episodes"]] = "steps"
 
     def __post_init__(self) -> None:
         for name, function in (("train", self.train_fn), ("evaluate", self.evaluate_fn)):
@@ -599,5 +596,4 @@ def code_of(trainer: Trainer) -> dict[str, Any]:
     A trainer with an attribute `functions` names it; of others it is their class.
     """
     named: Mapping[str, Any] = getattr(trainer, "functions", {"trainer": type(trainer)})
-    found = {name: described_code(one) for name, one in named.items()}
-    return {name: code for name, code in found.items() if code is not None}
+    return {name: code for name, one in named.items() if (code := described_code(one)) is not None}

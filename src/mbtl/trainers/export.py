@@ -45,12 +45,9 @@ def export_mlp(model: Any) -> MLPPolicy | None:
     if isinstance(model, AdaptedPolicy):
         inner = export_mlp(model.model)
         return None if inner is None else model.exported(inner)
-    parts = _acting_layers(model)
-    head = _head(model)
-    if parts is None or head is None or not _flat_observations(model.policy):
-        return None
-    dense = _dense(parts)
-    if dense is None:
+    parts, head = _acting_layers(model), _head(model)
+    dense = None if parts is None else _dense(parts)
+    if dense is None or head is None or not _flat_observations(model.policy):
         return None
     weights, biases, activation = dense
     shape = tuple(model.observation_space.shape)

@@ -195,8 +195,12 @@ class SB3Trainer:
         """
         check_asked(self, contexts, start, length)
         if len(contexts) > 1:
+            from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
             asked: dict[str, Any] = {"start": start, "state": state, "on_progress": on_progress}
-            return self._everywhere(contexts).train([{}], seed, length=length, done=done, **asked)
+            # the same in all contexts; what context it is given does not matter
+            everywhere = replace(self, make_env=Everywhere(self.make_env, tuple(contexts)))
+            return everywhere.train([{}], seed, length=length, done=done, **asked)
         context, by_episodes = contexts[0], self.episodes is not None
         until = None if length is None else round(length * self.whole)
         begun = round(done * self.whole)
@@ -215,7 +219,7 @@ class SB3Trainer:
                 return int(model.num_timesteps) // getattr(model.env, "slots", 1)
 
             told = on_progress
-            if by_episodes and until is not None:
+            if by_episodes and until is not None and on_progress is not None:
                 told = in_steps(on_progress, played)
             watch = Watch(model, planned, told, best, episodes, self._score)
             anew = found is None and begun == 0
@@ -247,12 +251,6 @@ class SB3Trainer:
             return model, done
         model.num_timesteps = done
         return model, None
-
-    def _everywhere(self, contexts: Sequence[Context]) -> SB3Trainer:
-        """The same in all contexts; what context it is given does not matter."""
-        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
-
-        return replace(self, make_env=Everywhere(self.make_env, tuple(contexts)))
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`).
@@ -323,7 +321,8 @@ class SB3Trainer:
         """See `mbtl.envs.references.played`."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         with isolated(self.threads):
-            make, most = self._evaluation(contexts)
+            at_once = min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
+            make, most = self.opener(contexts, at_once)
             who = policy
             if not isinstance(policy, str):
                 who = actor_for(policy, sampled=self.acting == "sampled")
@@ -378,10 +377,6 @@ class SB3Trainer:
         return partial(remote, self.make_env), min(at_once, usable_cores())
 
     # ---- inside ------------------------------------------------------------------------------
-
-    def _evaluation(self, contexts: Sequence[Context]) -> tuple[Callable[[Context], Any], int]:
-        """As `opener`, for episodes in all of these contexts."""
-        return self.opener(contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS))
 
     @property
     def _score(self) -> Score | None:
@@ -468,6 +463,7 @@ class SB3Trainer:
 
         from mbtl.envs.opening import refuse_running_statistics
 
+        observed, rewarded = self.normalize_observations, self.normalize_reward
         several = self.checkpoint == "best" or (self.n_envs > 1 and not self.processes)
         open_env, _ = self.opener([context], 2 if several else 1)
         make = partial(self.make_env if self.processes else open_env, context)
@@ -485,25 +481,20 @@ class SB3Trainer:
         if hasattr(first, "possible_agents"):
             from mbtl.trainers.shared import SharedVecEnv
 
-            if self.normalize_reward or self.normalize_observations:
+            if observed or rewarded:
                 raise InvalidInput(
                     "what agents that come and go see and earn cannot be normalised, got "
-                    f"normalize_reward={self.normalize_reward} and normalize_observations="
-                    f"{self.normalize_observations}; scale it in the environment"
+                    f"normalize_reward={rewarded} and normalize_observations={observed}; scale it "
+                    "in the environment"
                 )
             envs: Any = SharedVecEnv(makers, processes=self.processes, credit=self.credit)
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
         stack.callback(close, envs)
-        if self.normalize_reward or self.normalize_observations:
+        if observed or rewarded:
             gamma = self.hyperparameters.get("gamma", 0.99)
-            envs = VecNormalize(
-                envs,
-                norm_obs=self.normalize_observations,
-                norm_reward=self.normalize_reward,
-                gamma=gamma,
-            )
+            envs = VecNormalize(envs, norm_obs=observed, norm_reward=rewarded, gamma=gamma)
         return envs
 
     def _best_checkpoint(

@@ -24,7 +24,7 @@ import pickle
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -236,23 +236,21 @@ class Watch:
         infos = given.get("infos", ())
         if self._score is not None:
             key = self._score.key
-            self._scores.extend(float(info[key]) for info in infos if key in info and _ends(info))
+            ends = [info for info in infos if "episode" in info or ENDED in info]
+            self._scores.extend(float(info[key]) for info in ends if key in info)
         if self.episodes is not None:
             ended = sum(self._ends in info for info in infos)
             if ended:
                 self.episodes += ended
-                self._foresee(self.episodes)
+                # schedules of the library run over steps: as many as the episodes make likely
+                steps = int(self._model.num_timesteps * self._total / self.episodes)
+                self._model._total_timesteps = max(steps, self._model.num_timesteps)
         if self._best is not None:
             self._best.visit(self._model, self.done)
         if self.done >= self._due:
             self._due = self.done + self._interval
             self.report(min(self.done, self._total))
         return not enough
-
-    def _foresee(self, episodes: int) -> None:
-        """Schedules of the library run over steps: as many as the episodes so far make likely."""
-        steps = self._model.num_timesteps * self._total / episodes
-        self._model._total_timesteps = max(int(steps), self._model.num_timesteps)
 
     def report(self, step: int) -> None:
         """Tell the caller where the training stands."""
@@ -271,30 +269,24 @@ class Watch:
         self._on_progress(Progress(step, self._total, metrics, unit))
 
 
-def _ends(info: Mapping[str, Any]) -> bool:
-    """Whether an episode ended with the step that this tells of."""
-    return "episode" in info or ENDED in info
-
-
 def _same(env: Any) -> Any:
     return env
 
 
 @contextmanager
-def isolated(threads: int | None = 1) -> Iterator[None]:
+def isolated(threads: int = 1) -> Iterator[None]:
     """Run a block, then put back the global generators (random, numpy, torch) and torch's threads.
 
     Args:
         threads: torch threads inside the block; small networks are fastest, and reproducible across
-            machines of different size, with one. None leaves the number alone.
+            machines of different size, with one.
     """
     import torch
 
     python_state, torch_state = random.getstate(), torch.get_rng_state()
     numpy_state = np.random.get_state()  # noqa: NPY002 - the library seeds it
     before = torch.get_num_threads()
-    if threads is not None:
-        torch.set_num_threads(threads)
+    torch.set_num_threads(threads)
     try:
         yield
     finally:
@@ -318,7 +310,23 @@ class _Paused(Exception):
 @contextmanager
 def pausing(model: Any, watch: Watch, until: int, state: Path | None) -> Iterator[None]:
     """What learns inside ends when so many steps or episodes are done, and is saved on the way."""
-    model.collect_rollouts = _Pausing(model, watch, until, state)
+    collect, saved = model.collect_rollouts, time.monotonic()
+    planned = model._total_timesteps if watch.episodes else 0  # `learn` plans anew
+
+    def collected(*given: Any, **named: Any) -> Any:
+        """Rollouts until so many steps or episodes are done; then the training pauses."""
+        nonlocal saved, planned
+        if planned:  # schedules go on as they were
+            model._total_timesteps, planned = planned, 0
+        if watch.done >= until:
+            raise _Paused
+        if state is not None and time.monotonic() - saved >= _SECONDS:
+            del model.collect_rollouts
+            freeze(model, watch, state)
+            model.collect_rollouts, saved = collected, time.monotonic()
+        return collect(*given, **named)
+
+    model.collect_rollouts = collected
     with suppress(_Paused):
         try:
             yield
@@ -326,10 +334,8 @@ def pausing(model: Any, watch: Watch, until: int, state: Path | None) -> Iterato
             del model.collect_rollouts
 
 
-def in_steps(on_progress: OnProgress | None, played: Callable[[], int]) -> OnProgress | None:
+def in_steps(on_progress: OnProgress, played: Callable[[], int]) -> OnProgress:
     """Reports of a training that counts episodes, in the environment steps `played` so far."""
-    if on_progress is None:
-        return None
 
     def told(progress: Progress) -> None:
         steps = played()
@@ -337,26 +343,6 @@ def in_steps(on_progress: OnProgress | None, played: Callable[[], int]) -> OnPro
         on_progress(replace(progress, step=steps, total=total, unit="steps"))
 
     return told
-
-
-class _Pausing:
-    """Collects rollouts until so many steps or episodes are done; then the training pauses."""
-
-    def __init__(self, model: Any, watch: Watch, until: int, state: Path | None) -> None:
-        self._model, self._watch, self._until, self._state = model, watch, until, state
-        self._collect, self._at = model.collect_rollouts, time.monotonic()
-        self._planned = model._total_timesteps if watch.episodes else 0  # `learn` plans anew
-
-    def __call__(self, *given: Any, **named: Any) -> Any:
-        if self._planned:  # schedules go on as they were
-            self._model._total_timesteps, self._planned = self._planned, 0
-        if self._watch.done >= self._until:
-            raise _Paused
-        if self._state is not None and time.monotonic() - self._at >= _SECONDS:
-            del self._model.collect_rollouts
-            freeze(self._model, self._watch, self._state)
-            self._model.collect_rollouts, self._at = self, time.monotonic()
-        return self._collect(*given, **named)
 
 
 def freeze(model: Any, watch: Watch, state: Path) -> None:
