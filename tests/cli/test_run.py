@@ -271,6 +271,15 @@ def simulator(tmp_path):
     return write
 
 
+def test_what_a_simulator_prints_is_no_part_of_the_document(mbtl_command, simulator):
+    command = simulator(train="print('trained')", evaluate="print('evaluated')")
+    found = mbtl_command.document(*command)
+    assert len(found["picks"]) == 5
+    shown = mbtl_command.document("report", "runs/sim-default-seed0")
+    assert isinstance(shown, dict)
+    assert {"trained", "evaluated"} <= set(mbtl_command(*command, "--new", "--json")[2].split())
+
+
 LICENCE = "if context['x'] != 0.9: raise RuntimeError('licence [x] expired')"
 
 

@@ -498,6 +498,11 @@ def test_functions_need_the_unit_and_the_longest_episode(given, missing):
         created(SPACE, budget=mbtl.Steps(5_000, **given))
 
 
+def test_steps_are_a_number():
+    with pytest.raises(InvalidInput, match="total of Steps must be a whole number, got None"):
+        mbtl.Steps(None, unit=UNIT, horizon=EPISODE)
+
+
 def test_functions_are_paid_by_their_reports_or_by_units():
     def train(contexts, seed, *, start=None, length=None, on_progress=None):
         if on_progress is not None and len(contexts) > 1:

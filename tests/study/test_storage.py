@@ -200,3 +200,9 @@ def test_a_study_that_was_deleted_meanwhile_says_so(tmp_path):
     mbtl.study.delete_study(tmp_path)
     with pytest.raises(mbtl.StudyError, match="the study 'kept' is gone: it was deleted"):
         study.ask()
+
+
+def test_a_study_that_is_deleted_while_they_are_listed_is_left_out(tmp_path, monkeypatch):
+    study_at(tmp_path, "kept")
+    monkeypatch.setattr("mbtl.study.listing.study_names", lambda address: ["gone", "kept"])
+    assert [entry.name for entry in mbtl.study.list_studies(tmp_path)] == ["kept"]

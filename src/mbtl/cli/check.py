@@ -22,7 +22,7 @@ def check(
         int | None, typer.Option(help="Environment steps per rollout; default: the CMDP's, or 200.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of resets and actions.")] = 0,
-    json: JsonFlag = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Check that every axis acts, contexts do not leak, resets are deterministic, numbers finite.
 
@@ -36,7 +36,7 @@ def check(
         seed=seed,
         on_check=lambda line: console.print(Text(f"  {line}", "dim")),
     )
-    if json:
+    if as_json:
         print_json({"target": target, **report.to_json()})
     else:
         table = Table(box=None, show_header=False, pad_edge=False)

@@ -147,7 +147,7 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             if isinstance(given, Path):
                 kwargs[name] = from_home(given)
         try:
-            with plain_warnings(), json_alone() if kwargs.get("json") else nullcontext():
+            with plain_warnings(), json_alone() if kwargs.get("as_json") else nullcontext():
                 command(*args, **kwargs)
         except KeyboardInterrupt:
             console.print("interrupted: run the same command again to go on")

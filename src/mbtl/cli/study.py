@@ -61,7 +61,8 @@ def list_studies(
         with _reported(database):
             for name in study_names(database):
                 with _reported(database):
-                    entry = entry_of(database_at(database), name)
+                    if (entry := entry_of(database_at(database), name)) is None:
+                        continue
                     rows.append({"study": _shown_at(database), **asdict(entry)})
     if as_json:
         print_json(rows)

@@ -34,7 +34,7 @@ class Steps:
     def __post_init__(self) -> None:
         for name in ("total", "unit", "horizon"):
             value = getattr(self, name)
-            if value is not None:
+            if value is not None or name == "total":
                 whole(f"{name} of Steps", value, 1)
 
 

@@ -66,7 +66,8 @@ def list_studies(storage: str | Path) -> list[StudyEntry]:
         StorageError: no database there, or a damaged one.
     """
     address = database_at(storage)
-    return [entry_of(address, name) for name in study_names(address)]
+    found = (entry_of(address, name) for name in study_names(address))
+    return [entry for entry in found if entry is not None]
 
 
 def delete_study(
@@ -145,9 +146,11 @@ def chosen_name(address: str, name: str | None) -> str:
     return names[0]
 
 
-def entry_of(address: str, name: str) -> StudyEntry:
-    """One study of a database, which is read."""
+def entry_of(address: str, name: str) -> StudyEntry | None:
+    """One study of a database, which is read; None where somebody has just deleted it."""
     state = replay(SqlLog(address, name).read())
+    if not state.seq:
+        return None
     spec = state.spec
     return StudyEntry(
         name,

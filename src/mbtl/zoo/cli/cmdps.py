@@ -20,7 +20,7 @@ def cmdps(
             show_default=False,
         ),
     ] = None,
-    json: JsonFlag = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """List the contextual MDPs, or show one with its recipes.
 
@@ -30,13 +30,13 @@ def cmdps(
 
     if name:
         record = _record(resolve_cmdp(name))
-        if json:
+        if as_json:
             print_json(record)
         else:
             _show(record)
         return
     records = [_record(resolve_cmdp(id)) for id in cmdp_ids()]
-    if json:
+    if as_json:
         print_json(records)
     else:
         _list(records)

@@ -60,7 +60,7 @@ def play(
     trust: Annotated[
         bool, typer.Option("--trust", help="Read policies that can run code, of a maker you trust.")
     ] = False,
-    json: JsonFlag = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Play episodes of a CMDP in its simulator and print what they are worth.
 
@@ -126,7 +126,7 @@ def play(
         if csv is not None:
             _write(csv, takes)
     files = {f"{pictures} pictures": film, "every decision": csv}
-    _tell(cmdp, context, why, takes, {what: file for what, file in files.items() if file}, json)
+    _tell(cmdp, context, why, takes, {what: file for what, file in files.items() if file}, as_json)
 
 
 def _tell(
