@@ -48,7 +48,7 @@ def going(
     env.close()
     check_known("way", way, known)
     policy = RandomActions(space("") if callable(space) else space)
-    make = make_env if way == RANDOM_ACTIONS else partial(_by_itself, make_env, way)
+    make = make_env if way == RANDOM_ACTIONS else lambda one: ByItself(make_env(one), way)
     return Actor(policy, sampled=True), make
 
 
@@ -156,7 +156,3 @@ class ByItself:
     def step(self, actions: Any) -> Any:
         """One decision without control."""
         return self._env.drive() if self._way == UNGUIDED else self._env.follow(self._way)
-
-
-def _by_itself(make_env: Callable[[Context], Any], way: str, context: Context) -> ByItself:
-    return ByItself(make_env(context), way)
