@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,17 +75,8 @@ def roll(env: Any, actions: Iterable[Any], seed: int) -> Rollout:
 
 def roll_together(envs: Sequence[Any], actions: Sequence[Any], seed: int) -> list[Rollout]:
     """The same rollouts with the environments taking turns, moment by moment."""
-    turns: list[list[_Moment]] = [[] for _ in envs]
-    running = [(log, _moments(env, actions, seed)) for log, env in zip(turns, envs, strict=True)]
-    while running:
-        unfinished = []
-        for log, moments in running:
-            moment = next(moments, None)
-            if moment is not None:
-                log.append(moment)
-                unfinished.append((log, moments))
-        running = unfinished
-    return [_record(log) for log in turns]
+    turns = zip_longest(*(_moments(env, actions, seed) for env in envs))
+    return [_record([moment for moment in log if moment]) for log in zip(*turns, strict=True)]
 
 
 def difference(one: Rollout, other: Rollout, *, dynamics_only: bool = False) -> str | None:

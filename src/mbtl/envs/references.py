@@ -9,6 +9,7 @@ its own names them in `ways`, and takes a step of one with `follow(way)`. Many h
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -28,11 +29,8 @@ UNGUIDED = "unguided"
 
 def ways_in(make_env: Callable[[Context], Any], context: Context) -> tuple[str, ...]:
     """How an environment goes without a policy, random actions first."""
-    env = make_env(context)
-    try:
+    with closing(make_env(context)) as env:
         return (RANDOM_ACTIONS, *ways_of(env))
-    finally:
-        env.close()
 
 
 def going(
