@@ -37,11 +37,8 @@ def program(name: str) -> str:
     package = find_spec("sumo")
     homes = list(package.submodule_search_locations or ()) if package else []
     homes += [os.environ["SUMO_HOME"]] if os.environ.get("SUMO_HOME") else []
-    for home in homes:
-        found = shutil.which(name, path=str(Path(home) / "bin"))
-        if found:
-            return found
-    found = shutil.which(name)
+    places = [*(os.path.join(home, "bin") for home in homes), os.environ.get("PATH", os.defpath)]
+    found = shutil.which(name, path=os.pathsep.join(places))
     if found is None:
         raise missing_extra("eclipse-sumo", "traffic")
     return found

@@ -67,7 +67,8 @@ class Simulation:
         check_known("engine", engine, ENGINES)
         if gui and engine == "libsumo":
             raise InvalidInput("sumo-gui is driven through TraCI, got engine='libsumo'; use 'auto'")
-        if gui and os.name == "posix" and not _has_screen():
+        screens = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))
+        if gui and os.name == "posix" and not any(screens):
             raise InvalidInput("sumo-gui needs a screen and this machine has none; use gui=False")
         self.api: Any = None
         self.running: Literal["libsumo", "traci"] | None = None
@@ -109,14 +110,14 @@ class Simulation:
         global _holder
         api, running = self.api, self.running
         self.api, self.running = None, None
-        if running is not None and self._pid == os.getpid():
-            with contextlib.suppress(Exception):  # a simulator that is gone cannot say goodbye
-                api.close()
+        if self._pid == os.getpid():
+            if running is not None:
+                with contextlib.suppress(Exception):  # a simulator that is gone says no goodbye
+                    api.close()
             if running == "libsumo":
                 _holder = None
-        if self._pid == os.getpid():
             self._remove()
-        self._folder, self._remove = None, _nothing
+        self._folder = None
 
     def __del__(self) -> None:
         """A forgotten simulation must not keep libsumo from the next one."""
@@ -153,18 +154,14 @@ class Simulation:
     def _choose(self) -> Engine:
         if self._gui or self._engine == "traci":
             return "traci"
-        busy = _is_held()
-        if self._engine == "libsumo":
-            if busy:
-                raise SimulationFailed(
-                    "libsumo holds one simulation per process and one is running; end its episode, "
-                    "use another process, or engine='auto'"
-                )
-            return "libsumo"
-        if busy:
-            return "traci"
-        missing = why_not("libsumo")
-        if missing is None:
+        if _is_held():
+            if self._engine == "auto":
+                return "traci"
+            raise SimulationFailed(
+                "libsumo holds one simulation per process and one is running; end its episode, "
+                "use another process, or engine='auto'"
+            )
+        if self._engine == "libsumo" or (missing := why_not("libsumo")) is None:
             return "libsumo"
         if why_not("traci") is not None:
             raise missing
@@ -210,10 +207,6 @@ class Simulation:
 def _from_sumo(error: Exception) -> bool:
     module = type(error).__module__.partition(".")[0]
     return module in ("libsumo", "traci") or isinstance(error, OSError)
-
-
-def _has_screen() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @cache
