@@ -188,8 +188,13 @@ def descend(
     network: Network,
     moments: Tree,
 ) -> tuple[Network, Tree]:
-    """One gradient step, `scale` times the recipe's learning rate."""
-    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
+    """One gradient step, `scale` times the recipe's learning rate.
+
+    Towards r + gamma max_a Q_target(after, a) (1 - terminated), (B,).
+    """
+    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
+    goals = batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
+    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goals)
     return descended(adam(recipe), network, gradient, moments, scale)
 
 
@@ -212,12 +217,6 @@ def unpacked(rows: jax.Array) -> Batch:
     """(B, 2 f + 3) rows of the ring as transitions."""
     f = (rows.shape[-1] - 3) // 2
     return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))
-
-
-def goal(recipe: DQNRecipe | EpisodicDQNRecipe, target: Network, batch: Batch) -> jax.Array:
-    """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
-    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
-    return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
 
 
 def loss(

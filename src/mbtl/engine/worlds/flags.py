@@ -52,8 +52,9 @@ def settings(environ: Mapping[str, str]) -> dict[str, str]:
 def start_jax() -> None:
     """Start jax with our settings, unless it runs already; then warn where it could hang."""
     import jax
+    from jax._src import xla_bridge  # there is no public question of this kind
 
-    if _runs():
+    if xla_bridge.backends_are_initialized():
         _warn(jax.default_backend())
         return
     lent = settings(os.environ)
@@ -66,12 +67,6 @@ def start_jax() -> None:
             del os.environ[name]
         os.environ.update(before)
     keep_programs()
-
-
-def _runs() -> bool:
-    from jax._src import xla_bridge  # there is no public question of this kind
-
-    return bool(xla_bridge.backends_are_initialized())
 
 
 def _warn(backend: str) -> None:
