@@ -127,7 +127,8 @@ def network(plain: Mapping[str, str], *options: str) -> Path:
 
 @functools.cache
 def _compiled(pid: int, plain: tuple[tuple[str, str], ...], options: tuple[str, ...]) -> Path:
-    folder = Path(tempfile.mkdtemp(dir=_folder(pid)))
+    folder = Path(tempfile.mkdtemp(prefix="mbtl-networks-"))
+    atexit.register(_remove, folder, pid)
     arguments = []
     for kind, text in plain:
         (folder / kind).write_text(text, encoding="utf-8")
@@ -140,13 +141,6 @@ def _compiled(pid: int, plain: tuple[tuple[str, str], ...], options: tuple[str, 
     return folder / "network.net.xml"
 
 
-@functools.cache
-def _folder(pid: int) -> str:
-    folder = tempfile.mkdtemp(prefix="mbtl-networks-")
-
-    def remove() -> None:
-        if os.getpid() == pid:  # a forked child must not take its parent's networks away
-            shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(remove)
-    return folder
+def _remove(folder: Path, pid: int) -> None:
+    if os.getpid() == pid:  # a forked child must not take its parent's networks away
+        shutil.rmtree(folder, ignore_errors=True)

@@ -171,12 +171,9 @@ class Processes(Seeded):
         obs, acting, over, score = map(np.array, (obs, acting, over, score))
         reward, done = np.zeros(acting.shape, np.float32), np.zeros(acting.shape, bool)
         crew = self._crew(len(over))
-        asked = {
-            i: crew[i].submit(
-                ask, self.scene, "step", None if action is None else np.asarray(action[i])
-            )
-            for i in np.flatnonzero(~over).tolist()
-        }
+        told = [None] * len(over) if action is None else np.asarray(action)
+        going = np.flatnonzero(~over).tolist()
+        asked = {i: crew[i].submit(ask, self.scene, "step", told[i]) for i in going}
         for i, each in asked.items():
             found = _answer(each)
             sight, reward[i], done[i] = found if found is not None else (self._lost(), np.nan, True)
