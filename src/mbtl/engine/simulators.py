@@ -68,10 +68,8 @@ class SceneProblem:
             time_limit=self.time_limit,
             drives=hasattr(envs[0], "drive"),
         )
-        constants = [
-            {**context, "decisions": env.episode_steps}
-            for context, env in zip(contexts, envs, strict=True)
-        ]
+        pairs = zip(contexts, envs, strict=True)
+        constants = [{**context, "decisions": env.episode_steps} for context, env in pairs]
         for env in envs:
             env.close()
         return world, worlds.stack_params(world, constants)

@@ -119,28 +119,19 @@ def opened(*makers: Any) -> Iterator[list[Any]]:
         yield envs
 
 
-def flat(space: Any, observation: Any) -> Array:
-    """(F,) numbers of an observation.
-
-    Raises:
-        InvalidInput: the space has no fixed number of them.
-    """
+def _moments(env: Any, actions: Iterable[Any], seed: int) -> Iterator[_Moment]:
     from gymnasium import spaces
 
+    from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
+
+    space = env.observation_space
     if not space.is_np_flattenable:
         raise InvalidInput(f"observations must flatten to a fixed number of values, got {space}")
-    return np.array(spaces.flatten(space, observation), dtype=np.float64)
-
-
-def _moments(env: Any, actions: Iterable[Any], seed: int) -> Iterator[_Moment]:
-    space = env.observation_space
-
-    from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
 
     def seen(observation: Any) -> tuple[Array, Outside | None]:
         miss = outside(space, observation)
         try:
-            return flat(space, observation), miss
+            return np.array(spaces.flatten(space, observation), dtype=np.float64), miss
         except (IndexError, KeyError, TypeError, ValueError):  # a choice or key that there is not
             if miss is None:
                 raise

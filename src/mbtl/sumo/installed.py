@@ -76,15 +76,6 @@ def _installed_first(name: str) -> Iterator[None]:
         sys.path[:] = before
 
 
-def why_not(name: str) -> MissingExtra | None:
-    """The error that `library` would raise; None: it gives the module."""
-    try:
-        library(name)
-    except MissingExtra as error:
-        return error
-    return None
-
-
 def check_version(version: str) -> None:
     """Refuse a SUMO that is too old.
 

@@ -18,14 +18,13 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from mbtl.envs.opening import shared_well
-from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, check_known
-from mbtl.sumo.installed import check_version, library, program, why_not
+from mbtl.errors import InvalidInput, MbtlError, MissingExtra, SimulationFailed, check_known
+from mbtl.sumo.installed import check_version, library, program
 
 Engine = Literal["auto", "libsumo", "traci"]
-ENGINES: tuple[Engine, ...] = ("auto", "libsumo", "traci")
 
 
 def _is_held() -> bool:
@@ -64,7 +63,7 @@ class Simulation:
             UnknownName: another engine.
             InvalidInput: sumo-gui through libsumo, or without a screen.
         """
-        check_known("engine", engine, ENGINES)
+        check_known("engine", engine, get_args(Engine))
         if gui and engine == "libsumo":
             raise InvalidInput("sumo-gui is driven through TraCI, got engine='libsumo'; use 'auto'")
         screens = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))
@@ -161,12 +160,16 @@ class Simulation:
                 "libsumo holds one simulation per process and one is running; end its episode, "
                 "use another process, or engine='auto'"
             )
-        if self._engine == "libsumo" or (missing := why_not("libsumo")) is None:
-            return "libsumo"
-        if why_not("traci") is not None:
-            raise missing
-        _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
-        return "traci"
+        try:
+            library("libsumo")
+        except MissingExtra as missing:
+            if self._engine == "auto":
+                with contextlib.suppress(MissingExtra):
+                    library("traci")
+                    _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
+                    return "traci"
+            raise
+        return "libsumo"
 
     def _start_libsumo(self, arguments: Sequence[str]) -> str:
         global _holder

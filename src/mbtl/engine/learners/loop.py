@@ -129,11 +129,6 @@ def train(
     best = world.max_return if only_best else None
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
-    def judged(training: Training) -> Training:
-        actor = actor_of(training.state.weights)
-        found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
-        return cast(Training, blocks.keep_better(training, found.mean(axis=1)))
-
     def is_over(training: Training) -> bool:
         nothing_to_gain = best is not None and (np.asarray(training.best_return) >= best).all()
         return bool(training.updates >= total or nothing_to_gain)
@@ -152,7 +147,10 @@ def train(
         done = int(training.updates)
         count = min(done - done % every + every, total) - done
         training = _updates(world, recipe, decisions, training, params, count, pace)
-        training = judged(training) if judging else training
+        if judging:
+            actor = actor_of(training.state.weights)
+            found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
+            training = blocks.keep_better(training, found.mean(axis=1))
         blocks.check_finite(training.state.weights, (done + count) * unit)
         tell(training)
         if saved is not None and getattr(world, "storable", True):

@@ -24,7 +24,7 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, mean_of
 from mbtl.engine.learners.networks import Weights
-from mbtl.engine.learners.recipes import EpisodicPPORecipe, PPORecipe
+from mbtl.engine.learners.recipes import AnyPPO, PPORecipe
 from mbtl.engine.learners.rollout import Rollout, State, advantages, draw, play, start
 from mbtl.engine.learners.units import Units
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
@@ -142,7 +142,7 @@ def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollou
 
 def descend(
     space: Discrete | Box,
-    recipe: PPORecipe | EpisodicPPORecipe,
+    recipe: AnyPPO,
     weights: Weights,
     moments: Tree,
     batch: Batch,
@@ -181,7 +181,7 @@ def descend(
 
 def loss(
     space: Discrete | Box,
-    recipe: PPORecipe | EpisodicPPORecipe,
+    recipe: AnyPPO,
     weights: Weights,
     batch: Batch,
     limits: Limits | None = None,

@@ -71,8 +71,7 @@ class Learner:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        return values | {"hidden": list(self.hidden)}
+        return {**vars(self), "hidden": list(self.hidden)}
 
 
 @dataclass(frozen=True)
@@ -549,6 +548,9 @@ class EpisodicDQNRecipe(TwinRecipe):
     final_epsilon: float = 0.0
     max_grad_norm: float = 10.0
 
+
+AnyPPO = PPORecipe | EpisodicPPORecipe
+AnyDQN = DQNRecipe | EpisodicDQNRecipe
 
 _FAST = EpisodicPPORecipe(
     rows=2048,
