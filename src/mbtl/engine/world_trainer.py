@@ -236,7 +236,7 @@ class WorldTrainer:
             return int(own)
         if not engine.on_cpu():
             return 1 << 20
-        return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
+        return 1 if self._by_ppo else _CPU_LANES
 
     def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
         """Sizes of the groups of consecutive contexts that are trained together."""
@@ -340,11 +340,10 @@ class WorldTrainer:
     ) -> Trained:
         """One training of a given length, from where it is."""
         growing = self._growing([contexts], [seed])
-        world = growing.world
-        recipe, weights = self._begun(world, growing.recipe, start)
+        recipe, weights = self._begun(growing.world, growing.recipe, start)
         growing = growing._replace(recipe=recipe)
         n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
-        file = _saved(world, state)
+        file = _saved(growing.world, state)
         each: Any = () if by_steps else _each_of(self.problem, contexts)
 
         def played(updates: int) -> int:

@@ -94,9 +94,8 @@ class Simulation:
         self._folder = Path(tempfile.mkdtemp(prefix="mbtl-sumo-"))
         self._remove = weakref.finalize(self, shutil.rmtree, self._folder, True)
         arguments = self._arguments(self._folder, routes, seed)
-        engine = self._choose()
+        begin = self._choose()
         with self.guard():
-            begin = self._start_libsumo if engine == "libsumo" else self._start_traci
             version = begin(arguments)
         try:
             check_version(version)
@@ -141,7 +140,8 @@ class Simulation:
         except MbtlError:
             raise
         except Exception as error:
-            if not _from_sumo(error):
+            module = type(error).__module__.partition(".")[0]
+            if module not in ("libsumo", "traci") and not isinstance(error, OSError):
                 raise
             report = self._report()
             self.close()
@@ -150,12 +150,12 @@ class Simulation:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _choose(self) -> Engine:
+    def _choose(self) -> Callable[[Sequence[str]], str]:
         if self._gui or self._engine == "traci":
-            return "traci"
+            return self._start_traci
         if _is_held():
             if self._engine == "auto":
-                return "traci"
+                return self._start_traci
             raise SimulationFailed(
                 "libsumo holds one simulation per process and one is running; end its episode, "
                 "use another process, or engine='auto'"
@@ -167,9 +167,9 @@ class Simulation:
                 with contextlib.suppress(MissingExtra):
                     library("traci")
                     _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
-                    return "traci"
+                    return self._start_traci
             raise
-        return "libsumo"
+        return self._start_libsumo
 
     def _start_libsumo(self, arguments: Sequence[str]) -> str:
         global _holder
@@ -205,11 +205,6 @@ class Simulation:
             return ""
         log = self._folder / "errors.txt"
         return " ".join(log.read_text(encoding="utf-8").split()) if log.exists() else ""
-
-
-def _from_sumo(error: Exception) -> bool:
-    module = type(error).__module__.partition(".")[0]
-    return module in ("libsumo", "traci") or isinstance(error, OSError)
 
 
 @cache

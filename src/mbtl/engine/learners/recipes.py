@@ -355,8 +355,7 @@ def multitask_recipe(
     n_envs, n_steps = one.n_envs, one.n_steps
     while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
         n_envs, n_steps = 2 * n_envs, n_steps // 2
-    spread = replace(one, n_envs=n_envs, n_steps=n_steps)
-    ppo = own_recipe(world) or spread
+    ppo = own_recipe(world) or replace(one, n_envs=n_envs, n_steps=n_steps)
     return MultiTaskRecipe.of(method, ppo, _N_PARTS.get(method, 1))
 
 
