@@ -550,6 +550,7 @@ class EpisodicDQNRecipe(TwinRecipe):
 
 AnyPPO = PPORecipe | EpisodicPPORecipe
 AnyDQN = DQNRecipe | EpisodicDQNRecipe
+"""From copies, or from whole episodes."""
 
 _FAST = EpisodicPPORecipe(
     rows=2048,
