@@ -97,10 +97,9 @@ class EnvScene:
 
     def _seen(self, seen: Mapping[str, Any], agents: Sequence[str], score: float) -> Sight:
         seated(self._present, agents)
-        size = (
-            self._env.observation_space("") if self._is_team else self._env.observation_space
-        ).shape
-        obs = np.zeros((self._places, *size), np.float32)
+        space = self._env.observation_space
+        shape = (space("") if self._is_team else space).shape
+        obs = np.zeros((self._places, *shape), np.float32)
         for k, agent in enumerate(self._present):
             if agent is not None:
                 obs[k] = seen[agent]

@@ -54,13 +54,9 @@ class SceneProblem:
             )
         (features,) = names
         envs = [self.make_env(context) for context in contexts]
-        team = hasattr(envs[0], "possible_agents")
-        seen, act = (
-            (envs[0].observation_space(""), envs[0].action_space(""))
-            if team
-            else (envs[0].observation_space, envs[0].action_space)
-        )
-        places = envs[0].most_agents if team else 1
+        seen, act, places = envs[0].observation_space, envs[0].action_space, 1
+        if hasattr(envs[0], "possible_agents"):
+            seen, act, places = seen(""), act(""), envs[0].most_agents
         world = Processes.of(
             partial(EnvScene, self.make_env, places, self.score),
             action=worlds.Discrete(int(act.n))
@@ -72,10 +68,8 @@ class SceneProblem:
             time_limit=self.time_limit,
             drives=hasattr(envs[0], "drive"),
         )
-        constants = [
-            {**context, "decisions": env.episode_steps}
-            for context, env in zip(contexts, envs, strict=True)
-        ]
+        pairs = zip(contexts, envs, strict=True)
+        constants = [{**context, "decisions": env.episode_steps} for context, env in pairs]
         for env in envs:
             env.close()
         return world, worlds.stack_params(world, constants)

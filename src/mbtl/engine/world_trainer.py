@@ -236,7 +236,7 @@ class WorldTrainer:
             return int(own)
         if not engine.on_cpu():
             return 1 << 20
-        return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
+        return 1 if self._by_ppo else _CPU_LANES
 
     def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
         """Sizes of the groups of consecutive contexts that are trained together."""
@@ -340,11 +340,10 @@ class WorldTrainer:
     ) -> Trained:
         """One training of a given length, from where it is."""
         growing = self._growing([contexts], [seed])
-        world = growing.world
-        recipe, weights = self._begun(world, growing.recipe, start)
+        recipe, weights = self._begun(growing.world, growing.recipe, start)
         growing = growing._replace(recipe=recipe)
         n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
-        file = _saved(world, state)
+        file = _saved(growing.world, state)
         each: Any = () if by_steps else _each_of(self.problem, contexts)
 
         def played(updates: int) -> int:
@@ -364,7 +363,7 @@ class WorldTrainer:
             found = file.inherited(begun, best=self.checkpoint == "best")
             training, before = found or (begun, 0)
             before += file.notes.get(_BEFORE, 0)
-            before = _as_own(before, file.notes.get(_WHOLE, growing.whole), growing.whole)
+            before = round(before * growing.whole / file.notes.get(_WHOLE, growing.whole))
             spent = self._updates(done, unit)
             on_trunk = 0 if found else engine.stage(spent)[0]  # its state is lost; schedules go on
             if by_steps and self.algorithm == "DQN":  # its ring is empty, and filled by updates
@@ -432,7 +431,7 @@ class WorldTrainer:
             theirs = self._updates(
                 1.0, int(self._learner_of(growing.world, parents_on).update_length)
             )
-            before = _as_own(int(parents.updates), theirs, growing.whole)
+            before = round(int(parents.updates) * growing.whole / theirs)  # updates as our own
             growing = growing._replace(before=before)
 
         def on_block(block: Any) -> None:
@@ -460,8 +459,9 @@ class WorldTrainer:
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
         judged = -(-whole // _JUDGED) if n > 1 and self._judges_sets else 0
-        growing = engine.Growing(world, recipe, list(seeds), spread, whole)
-        return growing._replace(judged=judged, acting=self.how)
+        return engine.Growing(
+            world, recipe, list(seeds), spread, whole, judged=judged, acting=self.how
+        )
 
     def _learner_of(self, world: Any, n: int) -> Any:
         """The recipe of a policy for so many contexts."""
@@ -587,34 +587,20 @@ class WorldTrainer:
                 "worlds are played by policies of the engine and by ways that they name, got "
                 f"{type(policy).__name__}; give one of {self.ways(contexts)}"
             )
-        if (
-            names
-            and policy != RANDOM_ACTIONS
-            and not hasattr(world, "measures")
-            and hasattr(self.problem, "make_env")
-        ):
-            return self._simulated(policy, contexts, each, names)
+        problem: Any = self.problem
+        alone = hasattr(problem, "make_env") and not hasattr(world, "measures")
+        if names and alone and policy != RANDOM_ACTIONS:  # one after another
+            from mbtl.envs.references import played
+            from mbtl.envs.rollout import Actor
+
+            who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
+            make, score = problem.make_env, problem.score
+            return played(make, who, contexts, each, names, score=score, max_envs=1)[0]
         if isinstance(policy, str):
             found = engine.measured(world, None, params, each, way=policy)
         else:
             found = self._measured([policy], contexts, seeds)
         return {name: found[name][0] for name in (SCORE, *names) if name in found}
-
-    def _simulated(
-        self,
-        policy: MLPPolicy | str,
-        contexts: Sequence[Context],
-        seeds: Sequence[Sequence[int]],
-        names: Sequence[str],
-    ) -> dict[str, Array]:
-        """In the environments of the problem, one after another."""
-        from mbtl.envs.references import played
-        from mbtl.envs.rollout import Actor
-
-        problem: Any = self.problem
-        who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
-        make, score = problem.make_env, problem.score
-        return played(make, who, contexts, seeds, names, score=score, max_envs=1)[0]
 
     @property
     def how(self) -> Literal["sampled", "mean"]:
@@ -644,11 +630,6 @@ def _decisions_of(world: Any, params: Any) -> int:
 def _each_of(problem: Problem, contexts: Sequence[Context]) -> Any:
     """(T,) `_decisions_of` each context."""
     return np.array([_decisions_of(*problem([one])) for one in contexts])
-
-
-def _as_own(updates: int, theirs: int, own: int) -> int:
-    """Updates of a training as those of another one; `theirs` and `own` are one unit."""
-    return round(updates * own / theirs)
 
 
 def _saved(world: Any, state: Path | None) -> Any:

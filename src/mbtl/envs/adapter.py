@@ -50,12 +50,9 @@ class Adapter:
         if not self.observed_from:
             return seen
         if isinstance(seen, Mapping):
-            return {
-                key: np.asarray(part) - np.asarray(self.observed_from[key])
-                if key in self.observed_from
-                else part
-                for key, part in seen.items()
-            }
+            numbered = {*seen} & {*self.observed_from}
+            starts = {key: np.asarray(self.observed_from[key]) for key in numbered}
+            return {**seen, **{key: np.asarray(seen[key]) - starts[key] for key in numbered}}
         return np.asarray(seen) - np.asarray(self.observed_from[""])
 
     def action(self, told: Any) -> Any:
@@ -76,7 +73,7 @@ class Adapter:
         if isinstance(observation_space, spaces.Dict):
             parts = {k: _from_zero(part) for k, part in observation_space.spaces.items()}
             observation_space = spaces.Dict(parts)
-        elif self.observed_from:
+        else:
             observation_space = _from_zero(observation_space)
         return observation_space, action_space
 

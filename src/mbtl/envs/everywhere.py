@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -44,19 +46,15 @@ class _Drawing:
         self._make, self._contexts = everywhere.make_env, everywhere.contexts
         self._shown = _spaces(first)
         self._rng = np.random.default_rng()
-        self._episode_steps: int | None = None
 
-    @property
+    @cached_property
     def episode_steps(self) -> int:
         """Decisions of an episode in the mean over contexts, rounded up."""
-        if self._episode_steps is None:
-            lengths = []
-            for context in self._contexts:
-                env = self._make(context)
+        lengths = []
+        for context in self._contexts:
+            with closing(self._make(context)) as env:
                 lengths.append(int(env.episode_steps))
-                env.close()
-            self._episode_steps = math.ceil(np.mean(lengths))
-        return self._episode_steps
+        return math.ceil(np.mean(lengths))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Start an episode in the next context; a seed decides this one and all that follow."""

@@ -63,19 +63,13 @@ def refuse_running_statistics(env: Any) -> None:
     layer, seen = env, set()
     while layer is not None and id(layer) not in seen:
         seen.add(id(layer))
-        held = [
-            name
-            for name, value in getattr(layer, "__dict__", {}).items()
-            if _is_statistic(name, value)
-        ]
+        own = getattr(layer, "__dict__", {})
+        held = [name for name, value in own.items() if _is_statistic(name, value)]
         frozen = False in (getattr(layer, n, True) for n in ("update_running_mean", "training"))
         if held and not frozen:
-            rewards = all(re.search("ret|rew", name.lower()) for name in held)
-            what, option = (
-                ("rewards", "normalize_reward")
-                if rewards
-                else ("observations", "normalize_observations")
-            )
+            what, option = "observations", "normalize_observations"
+            if all(re.search("ret|rew", name.lower()) for name in held):
+                what, option = "rewards", "normalize_reward"
             raise InvalidInput(
                 "make_env must give environments without running statistics, which differ between "
                 f"training and evaluation, got {type(layer).__name__} (its {', '.join(held)}), "

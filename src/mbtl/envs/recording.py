@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,17 +75,8 @@ def roll(env: Any, actions: Iterable[Any], seed: int) -> Rollout:
 
 def roll_together(envs: Sequence[Any], actions: Sequence[Any], seed: int) -> list[Rollout]:
     """The same rollouts with the environments taking turns, moment by moment."""
-    turns: list[list[_Moment]] = [[] for _ in envs]
-    running = [(log, _moments(env, actions, seed)) for log, env in zip(turns, envs, strict=True)]
-    while running:
-        unfinished = []
-        for log, moments in running:
-            moment = next(moments, None)
-            if moment is not None:
-                log.append(moment)
-                unfinished.append((log, moments))
-        running = unfinished
-    return [_record(log) for log in turns]
+    turns = zip_longest(*(_moments(env, actions, seed) for env in envs))
+    return [_record([moment for moment in log if moment]) for log in zip(*turns, strict=True)]
 
 
 def difference(one: Rollout, other: Rollout, *, dynamics_only: bool = False) -> str | None:
@@ -127,28 +119,19 @@ def opened(*makers: Any) -> Iterator[list[Any]]:
         yield envs
 
 
-def flat(space: Any, observation: Any) -> Array:
-    """(F,) numbers of an observation.
-
-    Raises:
-        InvalidInput: the space has no fixed number of them.
-    """
+def _moments(env: Any, actions: Iterable[Any], seed: int) -> Iterator[_Moment]:
     from gymnasium import spaces
 
+    from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
+
+    space = env.observation_space
     if not space.is_np_flattenable:
         raise InvalidInput(f"observations must flatten to a fixed number of values, got {space}")
-    return np.array(spaces.flatten(space, observation), dtype=np.float64)
-
-
-def _moments(env: Any, actions: Iterable[Any], seed: int) -> Iterator[_Moment]:
-    space = env.observation_space
-
-    from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
 
     def seen(observation: Any) -> tuple[Array, Outside | None]:
         miss = outside(space, observation)
         try:
-            return flat(space, observation), miss
+            return np.array(spaces.flatten(space, observation), dtype=np.float64), miss
         except (IndexError, KeyError, TypeError, ValueError):  # a choice or key that there is not
             if miss is None:
                 raise

@@ -9,6 +9,7 @@ its own names them in `ways`, and takes a step of one with `follow(way)`. Many h
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -28,11 +29,8 @@ UNGUIDED = "unguided"
 
 def ways_in(make_env: Callable[[Context], Any], context: Context) -> tuple[str, ...]:
     """How an environment goes without a policy, random actions first."""
-    env = make_env(context)
-    try:
+    with closing(make_env(context)) as env:
         return (RANDOM_ACTIONS, *ways_of(env))
-    finally:
-        env.close()
 
 
 def going(
@@ -48,7 +46,7 @@ def going(
     env.close()
     check_known("way", way, known)
     policy = RandomActions(space("") if callable(space) else space)
-    make = make_env if way == RANDOM_ACTIONS else partial(_by_itself, make_env, way)
+    make = make_env if way == RANDOM_ACTIONS else lambda one: ByItself(make_env(one), way)
     return Actor(policy, sampled=True), make
 
 
@@ -156,7 +154,3 @@ class ByItself:
     def step(self, actions: Any) -> Any:
         """One decision without control."""
         return self._env.drive() if self._way == UNGUIDED else self._env.follow(self._way)
-
-
-def _by_itself(make_env: Callable[[Context], Any], way: str, context: Context) -> ByItself:
-    return ByItself(make_env(context), way)

@@ -15,9 +15,9 @@ from __future__ import annotations
 import inspect
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,10 @@ ENDED = "mbtl.simulation_ended"
 """Key of one agent's info when the simulation of a team has ended."""
 
 
+T = TypeVar("T")
+_Playing = Generator[None, Any, T]
+
+
 @dataclass(frozen=True)
 class Job:
     """Episodes to play in one environment.
@@ -59,107 +63,87 @@ class Job:
 
 @dataclass(eq=False)
 class _Place:
-    """One environment at play."""
+    """One environment at play, and what a policy is told of it.
 
-    job: int
+    Attributes:
+        job: what is played.
+        found: what each episode is worth, and its measures.
+        lasted: steps of the episodes that are over, all their strata together.
+        env: where.
+        keep_open: its owner closes it.
+        observations: one per decision maker.
+        memory: state of a recurrent policy, None at an episode's start.
+        rng: of sampled actions.
+    """
+
+    job: Job
+    found: list[Array]
+    lasted: list[int]
     env: Any
-    seeds: Iterator[tuple[int, float, dict[str, Any] | None]]  # and share and options of a stratum
-    score: Score | None
-    measures: Sequence[str]
-    strata: int  # of an episode
-    found: list[Array]  # what each episode is worth, and its measures
-    lasted: list[int]  # steps of the episodes that are over, all their strata together
-    played: int = 0  # steps of the strata of this episode that are over
-    share: float = 1.0
-    worth: Array | float = 0.0
-    left: int = 0  # strata of this episode that are still to be played
-    observations: list[Any] = field(default_factory=list)  # one per decision maker
-    total: float = 0.0
-    broken: bool = False  # somebody saw NaN in this episode, so it counts as not played
-    steps: int = 0
-    memory: tuple[Any, ...] | None = None  # state of a recurrent policy, None at an episode's start
-    rng: np.random.Generator | None = None  # of sampled actions
+    keep_open: bool
+    observations: list[Any] = field(default_factory=list)
+    memory: tuple[Any, ...] | None = None
+    rng: np.random.Generator | None = None
 
-    @property
-    def is_team(self) -> bool:
-        """PettingZoo's parallel interface."""
-        return hasattr(self.env, "possible_agents")
+    def __post_init__(self) -> None:
+        self.playing = self._play()
 
-    def start_episode(self) -> bool:
-        """Reset for the next episode; False when all were played."""
-        while (coming := next(self.seeds, None)) is not None:
-            seed, self.share, options = coming
-            first, _ = self.env.reset(
-                seed=seed, **({} if options is None else {"options": options})
-            )
-            self.observations = (
-                [copied(first[a]) for a in self.env.agents] if self.is_team else [copied(first)]
-            )
-            self.total, self.steps, self.memory = 0.0, 0, None
-            self.broken = _has_nan(first)
-            self.rng = np.random.default_rng(action_seed(seed))
-            if self.observations and not self.broken:
-                return True
-            known = self.broken or self.score is None
-            self._book({} if known else self.env.summary)  # nobody had to decide, or can
-        return False
+    def goes_on(self, actions: Sequence[Any] | None = None) -> bool:
+        """Until somebody has to decide again, with an action of each; False: all was played."""
+        try:
+            self.playing.send(actions)
+        except StopIteration:
+            return False
+        return True
 
-    @classmethod
-    def of(cls, number: int, job: Job, found: list[Array], lasted: list[int]) -> _Place:
-        """Before its first episode."""
-        env = job.open_env()
-        shares = () if job.score is None else job.score.shares(env)
-        parts: list[tuple[float, dict[str, Any] | None]] = [
-            (share, {"stratum": k}) for k, share in enumerate(shares)
-        ] or [(1.0, None)]
-        coming = ((seed, share, options) for seed in job.seeds for share, options in parts)
-        n = len(parts)
-        return cls(number, env, coming, job.score, job.measures, n, found, lasted, left=n)
+    def _play(self) -> _Playing[None]:
+        """All episodes."""
+        shares = () if self.job.score is None else self.job.score.shares(self.env)
+        strata = [(share, {"options": {"stratum": k}}) for k, share in enumerate(shares)]
+        try:
+            for seed in self.job.seeds:
+                worth, steps = np.zeros(1 + len(self.job.measures)), 0
+                for share, given in strata or [(1.0, {})]:
+                    told, lasted = yield from self._episode(seed, given)
+                    worth, steps = worth + share * told, steps + lasted
+                self.found.append(worth)
+                self.lasted.append(steps)
+        finally:
+            if not self.keep_open:
+                end(self.env)
 
-    def _book(self, info: Mapping[str, Any]) -> None:
-        """What an episode is worth, once all of its strata were played."""
-        if self.broken:
-            info, score = {}, np.nan
-        else:
-            score = self.total if self.score is None else self.score.read(info)
-        told = [float(info.get(name, np.nan)) for name in self.measures]
-        self.worth = self.worth + self.share * np.array([score, *told])
-        self.played += self.steps
-        self.left -= 1
-        if self.left == 0:
-            self.found.append(np.asarray(self.worth))
-            self.lasted.append(self.played)
-            self.worth, self.played, self.left = 0.0, 0, self.strata
-
-    def step(self, actions: Sequence[Any]) -> bool:
-        """Take one step with one action per decision maker; True when the episode is over."""
-        ended, info = self._team_step(actions) if self.is_team else self._step(actions[0])
-        self.steps += 1
-        ended = ended or self.broken
-        if self.steps > LONGEST_EPISODE:
-            raise endless()
-        if ended:
-            self._book(info)
-        return ended
-
-    def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self.broken = _has_nan(observation)
-        self.observations = [copied(observation)]
-        self.total += float(reward)
-        return terminated or truncated or self._is_foretold(info), info
-
-    def _team_step(self, actions: Sequence[Any]) -> tuple[bool, Mapping[str, Any]]:
-        agents = list(self.env.agents)
-        seen, rewards, _, _, infos = self.env.step(dict(zip(agents, actions, strict=True)))
-        agents, self.broken = self.env.agents, _has_nan(seen)
-        self.observations = [copied(seen[agent]) for agent in agents]
-        self.total += float(sum(rewards.values()))
-        info: Mapping[str, Any] = next(iter(infos.values()), {})
-        return not agents or self._is_foretold(info), info
-
-    def _is_foretold(self, info: Mapping[str, Any]) -> bool:
-        return self.score is not None and self.score.is_foretold(info)
+    def _episode(self, seed: int, given: Mapping[str, Any]) -> _Playing[tuple[Array, int]]:
+        """What one, or a stratum of it, is worth, with its measures; and its steps."""
+        env, score, is_team = self.env, self.job.score, hasattr(self.env, "possible_agents")
+        seen, _ = env.reset(seed=seed, **given)
+        self.memory, self.rng = None, np.random.default_rng(action_seed(seed))
+        info: Mapping[str, Any] = {}
+        total, steps, ended = 0.0, 0, False
+        while True:
+            agents = list(env.agents) if is_team else []
+            self.observations = [copied(seen[a]) for a in agents] if is_team else [copied(seen)]
+            broken = _has_nan(seen)  # so it counts as not played
+            if broken or ended or not self.observations:
+                break
+            actions = yield
+            if is_team:
+                seen, rewards, _, _, infos = env.step(dict(zip(agents, actions, strict=True)))
+                reward, info = sum(rewards.values()), next(iter(infos.values()), {})
+            else:
+                seen, reward, terminated, truncated, info = env.step(actions[0])
+                ended = terminated or truncated
+            total += float(reward)
+            ended = ended or (score is not None and score.is_foretold(info))
+            steps += 1
+            if steps > LONGEST_EPISODE:
+                raise endless()
+        if broken:
+            info = {}
+        elif not steps and score is not None:  # nobody had to decide
+            info = env.summary
+        worth = np.nan if broken else total if score is None else score.read(info)
+        told = [float(info.get(name, np.nan)) for name in self.job.measures]
+        return np.array([worth, *told]), steps
 
 
 def _has_nan(observation: Any) -> bool:
@@ -218,7 +202,8 @@ class Actor:
         observations = _stacked(seen)
         extra: dict[str, Any] = {}
         if "action_masks" in self._wants:
-            extra["action_masks"] = np.stack([_action_mask(place.env) for place in places])
+            masks = [place.env.get_wrapper_attr("action_masks")() for place in places]
+            extra["action_masks"] = np.stack(masks)
         if "state" in self._wants:
             extra["state"], extra["episode_start"] = _memories(places)
         chosen, state = self.policy.predict(observations, deterministic=True, **extra)
@@ -253,37 +238,27 @@ def play_counted(
 
     A measure that is not told is NaN.
     """
-    waiting = deque(enumerate(jobs))
     found: list[list[Array]] = [[] for _ in jobs]
     lasted: list[list[int]] = [[] for _ in jobs]
+    waiting = deque(zip(jobs, found, lasted, strict=True))
     places: list[_Place] = []
     try:
         while waiting or places:
             while waiting and len(places) < max_envs:
-                number, job = waiting.popleft()
-                place = _Place.of(number, job, found[number], lasted[number])
+                job, worth, steps = waiting.popleft()
+                place = _Place(job, worth, steps, job.open_env(), keep_open)
                 if not keep_open and any(place.env is other.env for other in places):
                     raise one_instance()
-                places.append(place)
-                if not place.start_episode():
-                    places.remove(place)
-                    if not keep_open:
-                        end(place.env)
-            finished = []
-            for place, actions in zip(places, actor.actions(places), strict=True):
-                if place.step(actions) and not place.start_episode():
-                    finished.append(place)
-            for place in finished:
-                places.remove(place)
-                if not keep_open:
-                    end(place.env)
+                if place.goes_on():
+                    places.append(place)
+            told = zip(places, actor.actions(places), strict=True)
+            places = [place for place, actions in told if place.goes_on(actions)]
     finally:
-        if not keep_open:
-            for place in places:
-                end(place.env)
+        for place in places:
+            place.playing.close()
     width = [1 + len(job.measures) for job in jobs]
-    worth = [np.reshape(rows, (-1, n)) for rows, n in zip(found, width, strict=True)]
-    return worth, [np.asarray(steps, dtype=np.float64) for steps in lasted]
+    tables = [np.reshape(rows, (-1, n)) for rows, n in zip(found, width, strict=True)]
+    return tables, [np.asarray(steps, dtype=np.float64) for steps in lasted]
 
 
 def end(env: Any) -> None:
@@ -337,7 +312,3 @@ def _memories(places: Sequence[_Place]) -> tuple[tuple[Any, ...] | None, Any]:
     blank = tuple(np.zeros_like(part) for part in known)
     memories = [blank if place.memory is None else place.memory for place in places]
     return tuple(np.stack(parts, axis=1) for parts in zip(*memories, strict=True)), starts
-
-
-def _action_mask(env: Any) -> Any:
-    return env.get_wrapper_attr("action_masks")()

@@ -50,11 +50,8 @@ def outside(space: Any, value: Any) -> Outside | None:
         return _numbers_outside(space, value)
     else:
         return None if space.contains(value) else Outside(f"{value!r}", True)
-    found = [
-        Outside(name + miss.said, miss.far)
-        for name, part, one in parts
-        if (miss := outside(part, one)) is not None
-    ]
+    missed = [(name, outside(part, one)) for name, part, one in parts]
+    found = [Outside(name + miss.said, miss.far) for name, miss in missed if miss]
     return next((one for one in found if one.far), found[0] if found else None)
 
 

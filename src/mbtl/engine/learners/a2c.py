@@ -15,7 +15,7 @@ import optax
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
-from mbtl.engine.learners.descent import descended
+from mbtl.engine.learners.descent import clipped, descended
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.recipes import A2CRecipe
 from mbtl.engine.learners.rollout import Noise, Rollout, State, advantages, draw, play, start
@@ -67,23 +67,16 @@ def loss(world: Solo, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> 
 
 
 def optimizer(recipe: A2CRecipe) -> optax.GradientTransformation:
-    """RMSprop after clipping the norm of one policy's gradient.
+    """RMSprop, `clipped`.
 
     square <- decay square + (1 - decay) g^2, and the step is
         -lr g / (sqrt(square) + eps), square from 0 on      as in PyTorch
         -lr g / sqrt(square + eps),   square from 1 on      as in TensorFlow: smaller, steadier
     """
     tensorflow = recipe.rms_like_tensorflow
-    return optax.chain(
-        optax.clip_by_global_norm(recipe.max_grad_norm),
-        optax.scale_by_rms(
-            recipe.rms_decay,
-            recipe.rms_eps,
-            initial_scale=1.0 if tensorflow else 0.0,
-            eps_in_sqrt=tensorflow,
-        ),
-        optax.scale(-recipe.learning_rate),
-    )
+    first = 1.0 if tensorflow else 0.0
+    rms = optax.scale_by_rms(recipe.rms_decay, recipe.rms_eps, first, eps_in_sqrt=tensorflow)
+    return clipped(recipe, rms)
 
 
 init = partial(start, optimizer)

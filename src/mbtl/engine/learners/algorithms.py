@@ -24,29 +24,22 @@ from typing import Any
 
 import jax
 
-from mbtl.engine.learners import a2c, dqn, networks, ppo
+from mbtl.engine.learners import a2c, dqn, networks, ppo, recipes
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.episodic import learning
 from mbtl.engine.learners.multitask import moore, paco
-from mbtl.engine.learners.recipes import (
-    RECIPES,
-    TWIN_RECIPES,
-    A2CRecipe,
-    DQNRecipe,
-    MultiTaskRecipe,
-    PPORecipe,
-    Recipe,
-    TwinRecipe,
-)
 from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import Solo, World
 from mbtl.errors import InvalidInput, check_known
 
-AnyRecipe = Recipe | TwinRecipe
+AnyRecipe = recipes.Recipe | recipes.TwinRecipe
 
 _WITH_COPIES: Mapping[type, Any] = {
-    PPORecipe: ppo, MultiTaskRecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn,
-}  # fmt: skip
+    recipes.PPORecipe: ppo,
+    recipes.MultiTaskRecipe: ppo,
+    recipes.A2CRecipe: a2c,
+    recipes.DQNRecipe: dqn,
+}
 _WITH_VECTORS: Mapping[str, Any] = {"paco": paco, "moore": moore}
 
 
@@ -56,11 +49,11 @@ def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecip
     Raises:
         UnknownName: there is none.
     """
-    recipes: Mapping[str, Mapping[str, AnyRecipe]]
-    recipes = TWIN_RECIPES if unit == "episodes" else RECIPES
-    check_known("algorithm with recipes", algorithm, recipes)
-    check_known(f"{algorithm} recipe", name, recipes[algorithm])
-    return recipes[algorithm][name]
+    known: Mapping[str, Mapping[str, AnyRecipe]]
+    known = recipes.TWIN_RECIPES if unit == "episodes" else recipes.RECIPES
+    check_known("algorithm with recipes", algorithm, known)
+    check_known(f"{algorithm} recipe", name, known[algorithm])
+    return known[algorithm][name]
 
 
 def init(
@@ -71,14 +64,14 @@ def init(
     Raises:
         InvalidInput: this world cannot start single simulations again.
     """
-    if isinstance(recipe, TwinRecipe):
+    if isinstance(recipe, recipes.TwinRecipe):
         return learning.init(world, recipe, seeds, params, weights)
     if not isinstance(world, Solo):
         raise InvalidInput(
             f"{type(recipe).__name__} needs simulations that start again one by one, got "
             f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
         )
-    if isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors and weights is None:
+    if isinstance(recipe, recipes.MultiTaskRecipe) and recipe.has_vectors and weights is None:
         n_contexts, n_visible = params.visible.shape[1:]
         shapes = n_contexts, world.n_features + n_visible - 1  # no place for the layers
         make = _WITH_VECTORS[recipe.method].init_weights
@@ -94,7 +87,7 @@ def update(
     World, recipe and `decisions`, of an episode at most or in beats, are static. Parameters are of
     one context, (P, ...), or of N for each policy, (P, N, ...).
     """
-    if isinstance(recipe, TwinRecipe):
+    if isinstance(recipe, recipes.TwinRecipe):
         return learning.update(world, recipe, decisions, state, params, clock)
     each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
     return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

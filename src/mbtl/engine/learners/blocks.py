@@ -54,9 +54,8 @@ class Block(NamedTuple):
 
 def beginning(state: Any) -> Training:
     """Before the first update."""
-    weights = state.weights
-    nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
-    best, latest = copied((weights, nothing))
+    nothing = jnp.full(len(state.weights.log_std), -jnp.inf, dtype=jnp.float32)
+    best, latest = copied((state.weights, nothing))
     return Training(state, best, nothing, latest, jnp.int32(0))
 
 

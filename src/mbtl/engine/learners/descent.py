@@ -12,19 +12,21 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from mbtl.engine.learners.recipes import DQNRecipe, EpisodicDQNRecipe, EpisodicPPORecipe, PPORecipe
+from mbtl.engine.learners.recipes import A2CRecipe, AnyDQN, AnyPPO
 from mbtl.engine.worlds.environments import Tree
 
 
-def adam(
-    recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe | EpisodicDQNRecipe,
+def clipped(
+    recipe: A2CRecipe | AnyDQN | AnyPPO, step: optax.GradientTransformation
 ) -> optax.GradientTransformation:
-    """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
-    return optax.chain(
-        optax.clip_by_global_norm(recipe.max_grad_norm),
-        optax.scale_by_adam(eps=recipe.adam_eps),
-        optax.scale(-recipe.learning_rate),
-    )
+    """A step after clipping the norm of one policy's gradient, times -lr."""
+    clip, rate = optax.clip_by_global_norm(recipe.max_grad_norm), optax.scale(-recipe.learning_rate)
+    return optax.chain(clip, step, rate)
+
+
+def adam(recipe: AnyDQN | AnyPPO) -> optax.GradientTransformation:
+    """Adam, `clipped`."""
+    return clipped(recipe, optax.scale_by_adam(eps=recipe.adam_eps))
 
 
 def descended(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +25,8 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.blocks import copied
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, descended
-from mbtl.engine.learners.networks import Network, Weights
-from mbtl.engine.learners.recipes import DQNRecipe, EpisodicDQNRecipe
+from mbtl.engine.learners.networks import Network
+from mbtl.engine.learners.recipes import AnyDQN, DQNRecipe
 from mbtl.engine.learners.rollout import State, start
 from mbtl.engine.worlds.copies import stepped
 from mbtl.engine.worlds.environments import Tree
@@ -56,11 +56,7 @@ class Round(NamedTuple):
 
 
 def init(
-    world: Solo,
-    recipe: DQNRecipe,
-    seeds: Sequence[int],
-    params: Tree,
-    weights: Weights | None = None,
+    world: Solo, recipe: DQNRecipe, seeds: Sequence[int], params: Tree, weights: Any = None
 ) -> State:
     """As `rollout.start`, with empty rings; the weights to begin from are the first target, too.
 
@@ -127,7 +123,7 @@ def epsilon(
     return jnp.where(step < recipe.learning_starts, 1.0, falling)
 
 
-def fallen(recipe: DQNRecipe | EpisodicDQNRecipe, share: jax.Array) -> jax.Array:
+def fallen(recipe: AnyDQN, share: jax.Array) -> jax.Array:
     """Probability of a random action after a share of the time in which it falls."""
     return 1.0 + jnp.minimum(share, 1.0) * (recipe.final_epsilon - 1.0)
 
@@ -181,15 +177,15 @@ def learn(
 
 
 def descend(
-    recipe: DQNRecipe | EpisodicDQNRecipe,
-    target: Network,
-    batch: Batch,
-    scale: jax.Array,
-    network: Network,
-    moments: Tree,
+    recipe: AnyDQN, target: Network, batch: Batch, scale: jax.Array, network: Network, moments: Tree
 ) -> tuple[Network, Tree]:
-    """One gradient step, `scale` times the recipe's learning rate."""
-    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
+    """One gradient step, `scale` times the recipe's learning rate.
+
+    Towards r + gamma max_a Q_target(after, a) (1 - terminated), (B,).
+    """
+    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
+    goals = batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
+    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goals)
     return descended(adam(recipe), network, gradient, moments, scale)
 
 
@@ -214,15 +210,7 @@ def unpacked(rows: jax.Array) -> Batch:
     return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))
 
 
-def goal(recipe: DQNRecipe | EpisodicDQNRecipe, target: Network, batch: Batch) -> jax.Array:
-    """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
-    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
-    return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
-
-
-def loss(
-    recipe: DQNRecipe | EpisodicDQNRecipe, network: Network, batch: Batch, goals: jax.Array
-) -> jax.Array:
+def loss(recipe: AnyDQN, network: Network, batch: Batch, goals: jax.Array) -> jax.Array:
     """Mean Huber loss, quadratic up to an error of 1, of the values of the actions taken."""
     values = networks.apply(network, batch.obs, recipe.activation)
     # a sum over a mask, not a gather: gathers with batched indices are slow on a CPU

@@ -64,10 +64,8 @@ def own_measures(
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     every = of_simulations(params, seeds.shape[1])
     decisions = world.decisions(in_a_row(params))
-    found: dict[str, jax.Array] = measures(
-        world, activation, how, actor, seeds, drawn, every, decisions
-    )
-    return found
+    played = measures(world, activation, how, actor, seeds, drawn, every, decisions)
+    return cast(dict[str, jax.Array], played)
 
 
 def evaluate(
@@ -126,7 +124,9 @@ def measured(
         each = partial(measured, world, actor, params, activation=activation, how=how)
         some = [each(own[:, first : first + most]) for first in range(0, n_episodes, most)]
         return {name: np.concatenate([one[name] for one in some], axis=-1) for name in some[0]}
-    params, shares = of_each_kind(world, params)
+    shares = np.ones((n_contexts, 1))
+    if hasattr(world, "strata"):
+        params, shares = world.strata(params)
     own, actor = np.repeat(own, shares.shape[1], axis=0), actor._replace(critic=())
     shape = n_policies, shares.size * n_episodes
     episodes = _Episodes(world, activation, how, actor, own, params)
@@ -145,7 +145,11 @@ def measured(
             place = found[name].reshape(shape)[p:, first:]
             there = np.asarray(numbers)[: len(place), : place.shape[1]]
             place[: len(there), : there.shape[1]] = there
-    return {name: merged(numbers, shares) for name, numbers in found.items()}
+    kinds = (n_policies, *shares.shape, n_episodes)
+    return {
+        name: np.einsum("pcke,ck->pce", numbers.reshape(kinds), shares)
+        for name, numbers in found.items()
+    }
 
 
 class _Episodes(NamedTuple):
@@ -207,21 +211,6 @@ def _pairs(episodes: _Episodes) -> Iterator[Part]:
         own, at = _take((who, where), first, step, len(who))
         some, there = taken(actor, own), taken(params, at)
         yield first, 0, own_measures(world, activation, how, some, seeds[at], there)
-
-
-def of_each_kind(world: Any, params: Any) -> tuple[Any, Array]:
-    """What a world says of kinds; the parameters and shares of 1 where it says nothing."""
-    if hasattr(world, "strata"):
-        every, shares = world.strata(params)
-        return every, shares
-    return params, np.ones((len(params.visible), 1))
-
-
-def merged(scores: Array, shares: Array) -> Array:
-    """(P, C, E) from (P, C x K, E): the mean of the kinds, weighted by how probable they are."""
-    each = scores.reshape(len(scores), *shares.shape, scores.shape[-1])
-    mean: Array = np.einsum("pcke,ck->pce", each, shares)
-    return mean
 
 
 def taken(tree: Tree, which: Any) -> Any:

@@ -65,8 +65,8 @@ def taught(world: World, policy: Any, activation: Activation) -> Weights:
     Raises:
         InvalidInput: it is none, or has another activation between its layers.
     """
-    if getattr(policy, "activation", None) != activation:
-        kind = getattr(policy, "activation", type(policy).__name__)
+    kind = getattr(policy, "activation", type(policy).__name__)
+    if kind != activation:
         raise InvalidInput(
             f"a training begins from a policy of this engine with the activation {activation}, "
             f"got {kind}; train one with this trainer"

@@ -10,16 +10,9 @@ from typing import Any, cast
 import jax
 import numpy as np
 
-from mbtl.engine.learners import algorithms
+from mbtl.engine.learners import algorithms, blocks
 from mbtl.engine.learners.algorithms import AnyRecipe
-from mbtl.engine.learners.blocks import (
-    Block,
-    Training,
-    beginning,
-    check_finite,
-    copied,
-    keep_better,
-)
+from mbtl.engine.learners.blocks import Block, Training
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
 from mbtl.engine.learners.evaluation import own_measures
@@ -57,7 +50,7 @@ def start(
     state = init()
     if weights is not None:
         state = init(_fitting(weights, state.weights))
-    return beginning(state)
+    return blocks.beginning(state)
 
 
 def train(
@@ -136,11 +129,6 @@ def train(
     best = world.max_return if only_best else None
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
-    def judged(training: Training) -> Training:
-        actor = actor_of(training.state.weights)
-        found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
-        return cast(Training, keep_better(training, found.mean(axis=1)))
-
     def is_over(training: Training) -> bool:
         nothing_to_gain = best is not None and (np.asarray(training.best_return) >= best).all()
         return bool(training.updates >= total or nothing_to_gain)
@@ -159,8 +147,11 @@ def train(
         done = int(training.updates)
         count = min(done - done % every + every, total) - done
         training = _updates(world, recipe, decisions, training, params, count, pace)
-        training = judged(training) if judging else training
-        check_finite(training.state.weights, (done + count) * unit)
+        if judging:
+            actor = actor_of(training.state.weights)
+            found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
+            training = blocks.keep_better(training, found.mean(axis=1))
+        blocks.check_finite(training.state.weights, (done + count) * unit)
         tell(training)
         if saved is not None and getattr(world, "storable", True):
             saved.save(training)
@@ -211,4 +202,4 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"weights to begin from must have the shapes of this recipe and number of policies, "
             f"{needed}, got {given}"
         )
-    return cast(Weights, copied(weights))
+    return cast(Weights, blocks.copied(weights))

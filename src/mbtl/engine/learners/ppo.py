@@ -24,7 +24,7 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, mean_of
 from mbtl.engine.learners.networks import Weights
-from mbtl.engine.learners.recipes import EpisodicPPORecipe, PPORecipe
+from mbtl.engine.learners.recipes import AnyPPO, PPORecipe
 from mbtl.engine.learners.rollout import Rollout, State, advantages, draw, play, start
 from mbtl.engine.learners.units import Units
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
@@ -124,25 +124,20 @@ def either(first: jax.Array, one: Any, other: Any) -> Any:
 
 
 def learn(world: Solo, recipe: PPORecipe, state: State, rollout: Rollout, clock: Clock) -> State:
-    """After the gradient steps on one rollout."""
-    batch, rate = learn_from(world, recipe, state.weights, rollout), clock.rate
-    of_state = (state.weights, state.optimizer)
-    weights, moments, _ = descend(world.action, recipe, *of_state, batch, clock.key, rate)
-    return state._replace(weights=weights, optimizer=moments)
-
-
-def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollout) -> Batch:
-    """(T x E,) transitions with generalised advantages and value targets."""
+    """After the gradient steps on (T x E,) transitions with advantages and value targets."""
+    weights, moments = state.weights, state.optimizer
     value = networks.apply(weights.critic, rollout.obs, recipe.activation)[..., 0]
     advantage = advantages(recipe, weights.critic, rollout, value)
     old = networks.log_prob(rollout.outputs, weights.log_std, rollout.action, world.action)
     rows = (rollout.obs, rollout.action, old, advantage, advantage + value)
-    return Batch(*(x.reshape(-1, *x.shape[2:]) for x in rows))
+    batch, rate = Batch(*(x.reshape(-1, *x.shape[2:]) for x in rows)), clock.rate
+    weights, moments, _ = descend(world.action, recipe, weights, moments, batch, clock.key, rate)
+    return state._replace(weights=weights, optimizer=moments)
 
 
 def descend(
     space: Discrete | Box,
-    recipe: PPORecipe | EpisodicPPORecipe,
+    recipe: AnyPPO,
     weights: Weights,
     moments: Tree,
     batch: Batch,
@@ -181,7 +176,7 @@ def descend(
 
 def loss(
     space: Discrete | Box,
-    recipe: PPORecipe | EpisodicPPORecipe,
+    recipe: AnyPPO,
     weights: Weights,
     batch: Batch,
     limits: Limits | None = None,

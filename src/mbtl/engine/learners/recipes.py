@@ -71,8 +71,7 @@ class Learner:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        return values | {"hidden": list(self.hidden)}
+        return {**vars(self), "hidden": list(self.hidden)}
 
 
 @dataclass(frozen=True)
@@ -356,8 +355,7 @@ def multitask_recipe(
     n_envs, n_steps = one.n_envs, one.n_steps
     while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
         n_envs, n_steps = 2 * n_envs, n_steps // 2
-    spread = replace(one, n_envs=n_envs, n_steps=n_steps)
-    ppo = own_recipe(world) or spread
+    ppo = own_recipe(world) or replace(one, n_envs=n_envs, n_steps=n_steps)
     return MultiTaskRecipe.of(method, ppo, _N_PARTS.get(method, 1))
 
 
@@ -549,6 +547,10 @@ class EpisodicDQNRecipe(TwinRecipe):
     final_epsilon: float = 0.0
     max_grad_norm: float = 10.0
 
+
+AnyPPO = PPORecipe | EpisodicPPORecipe
+AnyDQN = DQNRecipe | EpisodicDQNRecipe
+"""From copies, or from whole episodes."""
 
 _FAST = EpisodicPPORecipe(
     rows=2048,

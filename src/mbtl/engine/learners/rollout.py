@@ -66,8 +66,12 @@ class Rollout(NamedTuple):
     after: jax.Array
 
 
+Optimizer = Callable[[Any], optax.GradientTransformation]
+"""Recipe -> what moves the weights."""
+
+
 def start(
-    optimizer: Callable[[Any], optax.GradientTransformation],
+    optimizer: Optimizer,
     world: Solo,
     recipe: WithCopies,
     seeds: Sequence[int],
@@ -88,7 +92,7 @@ def start(
 def _start(
     world: Solo,
     recipe: WithCopies,
-    optimizer: Callable[[Any], optax.GradientTransformation],
+    optimizer: Optimizer,
     weights: Any,
     seed: jax.Array,
     params: Tree,

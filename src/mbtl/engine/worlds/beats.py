@@ -123,9 +123,8 @@ def lived(
         moved = twin.step(state, action, params)
         return moved.state, Decisions(kept, jnp.ones(len(action), bool), moved.reward, moved.done)
 
-    end: tuple[Tree, Decisions]
-    end = jax.lax.scan(one, state, jnp.arange(length, dtype=jnp.uint32))
-    return end
+    state, found = jax.lax.scan(one, state, jnp.arange(length, dtype=jnp.uint32))
+    return state, found
 
 
 def _in_beats(

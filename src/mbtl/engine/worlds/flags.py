@@ -34,7 +34,8 @@ from pathlib import Path
 from mbtl.errors import missing_extra
 from mbtl.processes import usable_cores
 
-SAFE_FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
+_SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
+_SAFE = f"{_SCHEDULER}=false"
 _FLAGS, _THREADS = "XLA_FLAGS", "NPROC"
 _FEW = 8
 """Cores on which the scheduler is warned of; hangs were seen on two."""
@@ -42,18 +43,17 @@ _FEW = 8
 
 def settings(environ: Mapping[str, str]) -> dict[str, str]:
     """What the environment lacks; a flag, or a number of threads, of the user's own stays."""
-    given = environ.get(_FLAGS, "").split()
-    names = {flag.partition("=")[0] for flag in given}
-    ours = [f"{name}={value}" for name, value in SAFE_FLAGS.items() if name not in names]
-    lacking = {_FLAGS: " ".join([*given, *ours])} if ours else {}
+    given = environ.get(_FLAGS, "")
+    lacking = {} if _SCHEDULER in given else {_FLAGS: f"{given} {_SAFE}".strip()}
     return lacking if _THREADS in environ else {**lacking, _THREADS: "1"}
 
 
 def start_jax() -> None:
     """Start jax with our settings, unless it runs already; then warn where it could hang."""
     import jax
+    from jax._src import xla_bridge  # there is no public question of this kind
 
-    if _runs():
+    if xla_bridge.backends_are_initialized():
         _warn(jax.default_backend())
         return
     lent = settings(os.environ)
@@ -68,19 +68,12 @@ def start_jax() -> None:
     keep_programs()
 
 
-def _runs() -> bool:
-    from jax._src import xla_bridge  # there is no public question of this kind
-
-    return bool(xla_bridge.backends_are_initialized())
-
-
 def _warn(backend: str) -> None:
     if backend == "cpu" and usable_cores() <= _FEW and _FLAGS in settings(os.environ):
-        flags = " ".join(f"{name}={value}" for name, value in SAFE_FLAGS.items())
         warnings.warn(
-            f"jax was started before mbtl.engine.worlds and without {flags}: on few cores its "
+            f"jax was started before mbtl.engine.worlds and without {_SAFE}: on few cores its "
             f"programs can hang; import mbtl.engine.worlds before jax computes, or set "
-            f"{_FLAGS}={flags} in the environment",
+            f"{_FLAGS}={_SAFE} in the environment",
             RuntimeWarning,
             stacklevel=2,
         )

@@ -13,7 +13,6 @@ arrays, whatever their size. So whole numbers are exact up to 2^24.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, cast
@@ -110,58 +109,33 @@ class Hosted:
 
 def _called(function: Callable[..., Any], kinds: Any, *args: Any) -> Any:
     """What a function of numpy arrays gives, called once for all that is vectorised."""
-    given, taken = _Packing.of(args), _Packing.of(kinds)
+    given = jax.tree.map(lambda x: _shape(x.shape, x.dtype), args)
 
     def on_host(packed: Any) -> Any:
         packed = np.asarray(packed)
-        return taken.packed(function(*given.apart(packed)), np, packed.shape[:-1])
+        return _packed(function(*_apart(packed, given)), kinds, np, packed.shape[:-1])
 
-    kind = _shape((taken.total,), np.float32)
-    packed = given.packed(args, jnp, ())
-    return taken.apart(jax.pure_callback(on_host, kind, packed, vmap_method="broadcast_all"))
+    total = sum(kind.size for kind in jax.tree.leaves(kinds))
+    packed, whole = _packed(args, given, jnp, ()), _shape((total,), np.float32)
+    return _apart(jax.pure_callback(on_host, whole, packed, vmap_method="broadcast_all"), kinds)
 
 
-@dataclass(frozen=True)
-class _Packing:
-    """Arrays in a tree as one array: what they have in common first, then all numbers of each.
+def _packed(arrays: Any, kinds: Any, numpy: Any, axes: tuple[int, ...]) -> Any:
+    """Arrays in a tree as one, (*axes, total): the axes in common, then all numbers of each."""
+    pairs = zip(jax.tree.leaves(arrays), jax.tree.leaves(kinds), strict=True)
+    each = [numpy.asarray(x).reshape(*axes, kind.size).astype(np.float32) for x, kind in pairs]
+    return numpy.concatenate(each, axis=-1)
 
-    Attributes:
-        tree: structure.
-        shapes: of the arrays.
-        dtypes: likewise.
-    """
 
-    tree: Any
-    shapes: tuple[tuple[int, ...], ...]
-    dtypes: tuple[Any, ...]
-
-    @classmethod
-    def of(cls, arrays: Any) -> _Packing:
-        """As these are, without axes in common."""
-        leaves, tree = jax.tree.flatten(arrays)
-        return cls(tree, tuple(x.shape for x in leaves), tuple(x.dtype for x in leaves))
-
-    @property
-    def total(self) -> int:
-        """Numbers in all arrays together."""
-        return sum(map(math.prod, self.shapes))
-
-    def packed(self, arrays: Any, numpy: Any, axes: tuple[int, ...]) -> Any:
-        """One array (*axes, total) of arrays whose first axes are `axes`."""
-        each = [
-            numpy.asarray(x).reshape(*axes, math.prod(shape)).astype(np.float32)
-            for x, shape in zip(jax.tree.leaves(arrays), self.shapes, strict=True)
-        ]
-        return numpy.concatenate(each, axis=-1)
-
-    def apart(self, packed: Any) -> Any:
-        """The arrays again, of NumPy or jax as `packed` is."""
-        first, leaves = 0, []
-        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
-            part = packed[..., first : first + math.prod(shape)]
-            leaves.append(part.reshape(*packed.shape[:-1], *shape).astype(dtype))
-            first += math.prod(shape)
-        return jax.tree.unflatten(self.tree, leaves)
+def _apart(packed: Any, kinds: Any) -> Any:
+    """The arrays again, of NumPy or jax as `packed` is."""
+    leaves, tree = jax.tree.flatten(kinds)
+    parts, first = [], 0
+    for kind in leaves:
+        part = packed[..., first : first + kind.size]
+        parts.append(part.reshape(*packed.shape[:-1], *kind.shape).astype(kind.dtype))
+        first += kind.size
+    return jax.tree.unflatten(tree, parts)
 
 
 def _shape(shape: tuple[int, ...], dtype: Any) -> jax.ShapeDtypeStruct:

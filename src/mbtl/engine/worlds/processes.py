@@ -130,13 +130,19 @@ class Processes(Seeded):
         cut_off = state.over & (state.left > 0)
         return Seen(state.obs, state.acting & ~cut_off[:, None])
 
-    def step(self, state: Live, action: jax.Array, params: Tree) -> Moved:
+    def step(self, state: Live, action: jax.Array | None, params: Tree) -> Moved:
         """One decision of all simulations that go on."""
-        return self._moved(state, action)
+        n = len(state.over)
+        none = jax.ShapeDtypeStruct((n, self.agents), jnp.float32)
+        ended = jax.ShapeDtypeStruct((n, self.agents), jnp.bool_)
+        given = () if action is None else (action,)
+        found = io_callback(self._on, (*self._kinds(n), none, ended), *state[:-1], *given)
+        *shown, reward, done = found
+        return Moved(Live(*(state.number, *shown, state.left - 1)), reward, done)
 
     def drive(self, state: Live, params: Tree) -> Moved:
         """The same without any action."""
-        return self._moved(state, None)
+        return self.step(state, None, params)
 
     def over(self, state: Live) -> jax.Array:
         """The simulator says so."""
@@ -155,16 +161,8 @@ class Processes(Seeded):
         told = zip(crew, named, np.asarray(seeds).tolist(), strict=True)
         asked = [one.submit(ask, self.scene, "start", context, seed) for one, context, seed in told]
         sights = [_answer(each) or self._lost() for each in asked]
-        return np.arange(len(crew), dtype=np.int32), *_stacked(sights)
-
-    def _moved(self, state: Live, action: jax.Array | None) -> Moved:
-        n = len(state.over)
-        none = jax.ShapeDtypeStruct((n, self.agents), jnp.float32)
-        ended = jax.ShapeDtypeStruct((n, self.agents), jnp.bool_)
-        given = () if action is None else (action,)
-        found = io_callback(self._on, (*self._kinds(n), none, ended), *state[:-1], *given)
-        *shown, reward, done = found
-        return Moved(Live(*(state.number, *shown, state.left - 1)), reward, done)
+        obs, acting, over, score = map(np.array, zip(*sights, strict=True))
+        return np.arange(len(crew), dtype=np.int32), obs, acting, over, score.astype(np.float32)
 
     def _on(
         self, number: Any, obs: Any, acting: Any, over: Any, score: Any, action: Any = None
@@ -173,12 +171,9 @@ class Processes(Seeded):
         obs, acting, over, score = map(np.array, (obs, acting, over, score))
         reward, done = np.zeros(acting.shape, np.float32), np.zeros(acting.shape, bool)
         crew = self._crew(len(over))
-        asked = {
-            i: crew[i].submit(
-                ask, self.scene, "step", None if action is None else np.asarray(action[i])
-            )
-            for i in np.flatnonzero(~over).tolist()
-        }
+        told = [None] * len(over) if action is None else np.asarray(action)
+        going = np.flatnonzero(~over).tolist()
+        asked = {i: crew[i].submit(ask, self.scene, "step", told[i]) for i in going}
         for i, each in asked.items():
             found = _answer(each)
             sight, reward[i], done[i] = found if found is not None else (self._lost(), np.nan, True)
@@ -213,11 +208,6 @@ def _crew(scene: bytes, owner: int) -> list[SeparateWorkers]:
 @functools.cache
 def _params(features: tuple[str, ...]) -> type[Any]:
     return namedtuple("SceneParams", (*features, "decisions", "visible"))
-
-
-def _stacked(sights: Sequence[Sight]) -> tuple[Any, ...]:
-    obs, acting, over, score = zip(*sights, strict=True)
-    return np.stack(obs), np.stack(acting), np.array(over), np.array(score, np.float32)
 
 
 def _answer(asked: Future[Any]) -> Any:

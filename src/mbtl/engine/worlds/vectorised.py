@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -50,8 +50,7 @@ def batch_last(many: Callable[..., Tree]) -> Callable[..., Tree]:
     together.def_vmap(further)
     alone = _custom_vmap(one)
     alone.def_vmap(first)
-    vectorised: Callable[..., Tree] = alone
-    return vectorised
+    return cast(Callable[..., Tree], alone)
 
 
 def _all(size: int, batched: Any, args: Any) -> Any:

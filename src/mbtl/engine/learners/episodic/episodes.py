@@ -145,7 +145,9 @@ def record(
 
     state = twin.start(flat, params)
     watch = partial(watched, twin, activation, params, shape)
-    critic = actor.critic or _indifferent(actor.network)
+    n_inputs = actor.network[0][0].shape[1]  # without a critic everything is worth 0
+    worthless = ((jnp.zeros((shape[0], n_inputs, 1)), jnp.zeros((shape[0], 1))),)
+    critic = actor.critic or worthless
     if isinstance(twin, Crowd):
         assert not isinstance(decisions, Beats)
         places = shape[1] * twin.agents
@@ -178,12 +180,6 @@ def record(
         last_acting=last.acting & (twin.time_limit == "truncation"),
         score=split(twin.score(state)),
     )
-
-
-def _indifferent(network: Network) -> Network:
-    """Critics of the policies that act by `network`, to whom everything is worth 0."""
-    policies, n_inputs = network[0][0].shape[:2]
-    return ((jnp.zeros((policies, n_inputs, 1)), jnp.zeros((policies, 1))),)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -260,12 +256,6 @@ def watched(
         obs = obs.reshape(*acting.shape, -1)
         return Watched(acting, tuple(each(activation, network, obs) for network in played)), rows
     used = jnp.int32(0) if rows is None else rows.used
-
-    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
-        if rows is None:
-            return None
-        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
-
     acting = twin.acting(state).reshape(*shape, -1)
     agents = Agents.of(acting)
     size = chunk_size(acting[0].size)
@@ -275,7 +265,10 @@ def watched(
         obs = twin.views(state, params, *agents.chunk(start, size))
         new = (each(activation, network, obs) for network in played)
         found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
-        return start + size, found, kept(rows, obs, used + start)
+        if rows is not None:
+            at = (0, used + start, 0)
+            rows = rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, at))
+        return start + size, found, rows
 
     def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
         return carry[0] < agents.most

@@ -55,35 +55,28 @@ def init(
 
 
 def _fresh(world: World, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> list[Weights]:
-    """Of each policy."""
-    each = networks.fresh(world, recipe, seeds, params)
-    if isinstance(recipe, EpisodicActorCritic):
-        each = [begun(world, recipe, one) for one in each]
-    return each
-
-
-def begun(world: World, recipe: EpisodicActorCritic, fresh: Weights) -> Weights:
-    """A fresh policy that acts as the recipe's `begin` says; what else it sees is not looked at.
+    """Policies that act as the recipe's `begin` says; what else they see is not looked at.
 
     Raises:
         InvalidInput: this world has no such rule, or for other networks.
     """
-    if not recipe.begin:
-        return fresh
+    each = networks.fresh(world, recipe, seeds, params)
+    if not isinstance(recipe, EpisodicActorCritic) or not recipe.begin:
+        return each
     if not hasattr(world, "rule"):
         raise InvalidInput(
             f"begin={recipe.begin!r} needs a world that knows rules, got {type(world).__name__}"
         )
     (matrix, bias), *rest = world.rule(recipe.begin)
-    more = len(fresh.actor[0][0]) - len(matrix)
+    more = len(each[0].actor[0][0]) - len(matrix)
     actor = ((np.pad(matrix, ((0, more), (0, 0))), bias), *rest)
-    shapes = [[np.shape(x) for x in jax.tree.leaves(net)] for net in (actor, fresh.actor)]
+    shapes = [[np.shape(x) for x in jax.tree.leaves(net)] for net in (actor, each[0].actor)]
     if shapes[0] != shapes[1] or recipe.activation != "tanh":
         raise InvalidInput(
             f"the rule {recipe.begin!r} is a network of tanh with layers {shapes[0]}, got a recipe "
             f"for {recipe.activation} with {shapes[1]}"
         )
-    return fresh._replace(actor=actor)
+    return [one._replace(actor=actor) for one in each]
 
 
 def update(

@@ -52,14 +52,9 @@ class Returns(NamedTuple):
         mean = mean_of(discounted, weight)
         variance = mean_of(jnp.square(discounted - mean), weight)
         apart = mean - self.mean
-        return Returns(
-            self.count + n,
-            reward_mean,
-            self.mean + share * apart,
-            (1.0 - share) * self.variance
-            + share * variance
-            + share * (1.0 - share) * jnp.square(apart),
-        )
+        within = (1.0 - share) * self.variance + share * variance
+        variance = within + share * (1.0 - share) * jnp.square(apart)
+        return Returns(self.count + n, reward_mean, self.mean + share * apart, variance)
 
     def scaled(self, recipe: TwinRecipe, reward: jax.Array) -> jax.Array:
         """Rewards as they are learnt from."""

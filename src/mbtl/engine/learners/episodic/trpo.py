@@ -155,10 +155,8 @@ def _fit_critic(
         steps, moments = _adam(recipe).update(jax.grad(loss)(critic), moments)
         return jax.tree.map(jnp.add, critic, steps), moments
 
-    fitted: tuple[Network, Tree] = jax.lax.fori_loop(
-        0, recipe.critic_passes, one, (critic, moments)
-    )
-    return fitted
+    critic, moments = jax.lax.fori_loop(0, recipe.critic_passes, one, (critic, moments))
+    return critic, moments
 
 
 def _adam(recipe: TRPORecipe) -> optax.GradientTransformation:

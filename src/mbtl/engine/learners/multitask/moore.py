@@ -56,10 +56,9 @@ class Mixture(NamedTuple):
         seen, place = observations[..., :-1], observations[..., -1]
         weights = rows_at(self.task_weights, place)
         # an expert at a time: one batched product over all of them is slower on a CPU
-        each = [
-            networks.apply(jax.tree.map(lambda x, k=k: x[k], self.experts), seen, activation)
-            for k in range(weights.shape[-1])
-        ]
+        parts = range(weights.shape[-1])
+        experts = (jax.tree.map(lambda x, k=k: x[k], self.experts) for k in parts)
+        each = [networks.apply(expert, seen, activation) for expert in experts]
         basis = orthonormal(each)
         v = bend(sum(weights[..., k, None] * u for k, u in enumerate(basis)))
         weight, bias = self.head

@@ -79,10 +79,8 @@ def init_weights(
 ) -> PaCoWeights:
     """K independent networks as `networks.init_weights` makes them, and hats as vectors."""
     seeds = np.random.SeedSequence(seed).generate_state(recipe.n_parts)
-    each = [
-        networks.init_weights(int(s), n_inputs, world.action, recipe.hidden, recipe.log_std)
-        for s in seeds
-    ]
+    how = (n_inputs, world.action, recipe.hidden, recipe.log_std)
+    each = [networks.init_weights(int(s), *how) for s in seeds]
     sets: Any = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
     vectors: Any = initial_table(n_contexts, recipe.n_parts)
     return PaCoWeights(sets.actor, sets.critic, each[0].log_std, vectors)
