@@ -1,5 +1,6 @@
 """What an environment gives without a policy: random actions, and no control at all."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 import gymnasium
 from gymnasium import spaces
 
-from mbtl.envs.references import RandomActions
+from mbtl.envs.references import ByItself, RandomActions
 from mbtl.errors import UnknownName
 from mbtl.problems import get_cmdp
 from mbtl.score import Score
@@ -130,3 +131,9 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
     assert rows["jax"]["unguided"] == pytest.approx(rows["gymnasium"]["unguided"], rel=1e-2)
     assert rows["jax"]["random_actions"].shape == (2, 3)
     assert set(rows["gymnasium"]) == {"random_actions", "unguided"}
+
+
+def test_an_environment_that_goes_by_itself_can_be_copied():
+    env = ByItself(gymnasium.make("CartPole-v1"))
+    assert copy.copy(env).action_space == env.action_space
+    env.close()
