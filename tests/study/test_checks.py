@@ -7,6 +7,7 @@ import json
 import random
 import re
 import sqlite3
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -363,3 +364,18 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
         study.release(len(study.state.picks) - 1)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])
+
+
+@pytest.mark.parametrize("odd", [np.True_, Decimal(1), 1e300])
+def test_what_no_log_can_hold_is_refused_before_it_is_written(odd, tmp_path):
+    class Odd:
+        name = "odd"
+
+        def propose(self, problem, history, rng):
+            return Proposal(0, "why not", acquisition=odd)
+
+    study = mbtl.create_study(SPACE, budget=2, strategy=Odd(), storage=tmp_path / "study.db")
+    with pytest.raises(InvalidInput, match="acquisition"):
+        study.ask()
+    (entry,) = mbtl.study.list_studies(tmp_path)  # which reads all of it
+    assert entry.told == 0

@@ -149,7 +149,7 @@ class ByItself:
         self._env, self._way = env, way
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # in a copy that is not filled yet
+        if name == "_env" or name.startswith("__"):  # in a copy that is not filled yet
             raise AttributeError(name)
         return getattr(self._env, name)
 

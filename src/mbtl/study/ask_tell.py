@@ -274,6 +274,7 @@ class AskTell:
             self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
         ]
+        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         policy_format = str((self.state.equipment or {}).get("policy_format", "custom"))
         if trainer is None and policy_format == "custom":
             trainer = self.trainer
@@ -290,7 +291,7 @@ class AskTell:
             in_memory=dict(self.policies),
             sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
             cmdp=spec.problem or None,
-            metadata={"study": self.name, "selector": spec.selector, "settings": spec.settings},
+            metadata={"study": self.name, **made},
             trust=trust,
         )
 

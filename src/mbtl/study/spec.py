@@ -11,7 +11,7 @@ import numpy as np
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
-from mbtl.plain import is_finite, short
+from mbtl.plain import short
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import counted
 
@@ -192,7 +192,9 @@ def is_seed(value: Any) -> bool:
 
 def is_number(value: Any) -> bool:
     """A number, finite and not too large to be computed with."""
-    return not isinstance(value, bool) and is_finite(value, _HUGE)
+    plain = value.item() if isinstance(value, np.number) else value
+    real = isinstance(plain, (int, float)) and not isinstance(plain, bool)
+    return real and -_HUGE < plain < _HUGE
 
 
 def is_text(value: Any) -> bool:

@@ -37,8 +37,11 @@ def program(name: str) -> str:
     package = find_spec("sumo")
     homes = list(package.submodule_search_locations or ()) if package else []
     homes += [os.environ["SUMO_HOME"]] if os.environ.get("SUMO_HOME") else []
-    places = [*(os.path.join(home, "bin") for home in homes), os.environ.get("PATH", os.defpath)]
-    found = shutil.which(name, path=os.pathsep.join(places))
+    for home in homes:
+        found = shutil.which(name, path=str(Path(home) / "bin"))
+        if found:
+            return found
+    found = shutil.which(name)
     if found is None:
         raise missing_extra("eclipse-sumo", "traffic")
     return found
@@ -74,6 +77,15 @@ def _installed_first(name: str) -> Iterator[None]:
         yield
     finally:
         sys.path[:] = before
+
+
+def why_not(name: str) -> MissingExtra | None:
+    """The error that `library` would raise; None: it gives the module."""
+    try:
+        library(name)
+    except MissingExtra as error:
+        return error
+    return None
 
 
 def check_version(version: str) -> None:
@@ -118,8 +130,7 @@ def network(plain: Mapping[str, str], *options: str) -> Path:
 
 @functools.cache
 def _compiled(pid: int, plain: tuple[tuple[str, str], ...], options: tuple[str, ...]) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="mbtl-networks-"))
-    atexit.register(_remove, folder, pid)
+    folder = Path(tempfile.mkdtemp(dir=_folder(pid)))
     arguments = []
     for kind, text in plain:
         (folder / kind).write_text(text, encoding="utf-8")
@@ -132,6 +143,13 @@ def _compiled(pid: int, plain: tuple[tuple[str, str], ...], options: tuple[str, 
     return folder / "network.net.xml"
 
 
-def _remove(folder: Path, pid: int) -> None:
-    if os.getpid() == pid:  # a forked child must not take its parent's networks away
-        shutil.rmtree(folder, ignore_errors=True)
+@functools.cache
+def _folder(pid: int) -> str:
+    folder = tempfile.mkdtemp(prefix="mbtl-networks-")
+
+    def remove() -> None:
+        if os.getpid() == pid:  # a forked child must not take its parent's networks away
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    return folder

@@ -18,13 +18,14 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from mbtl.envs.opening import shared_well
-from mbtl.errors import InvalidInput, MbtlError, MissingExtra, SimulationFailed, check_known
-from mbtl.sumo.installed import check_version, library, program
+from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, check_known
+from mbtl.sumo.installed import check_version, library, program, why_not
 
 Engine = Literal["auto", "libsumo", "traci"]
+ENGINES: tuple[Engine, ...] = ("auto", "libsumo", "traci")
 
 
 def _is_held() -> bool:
@@ -63,11 +64,10 @@ class Simulation:
             UnknownName: another engine.
             InvalidInput: sumo-gui through libsumo, or without a screen.
         """
-        check_known("engine", engine, get_args(Engine))
+        check_known("engine", engine, ENGINES)
         if gui and engine == "libsumo":
             raise InvalidInput("sumo-gui is driven through TraCI, got engine='libsumo'; use 'auto'")
-        screens = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))
-        if gui and os.name == "posix" and not any(screens):
+        if gui and os.name == "posix" and not _has_screen():
             raise InvalidInput("sumo-gui needs a screen and this machine has none; use gui=False")
         self.api: Any = None
         self.running: Literal["libsumo", "traci"] | None = None
@@ -94,8 +94,9 @@ class Simulation:
         self._folder = Path(tempfile.mkdtemp(prefix="mbtl-sumo-"))
         self._remove = weakref.finalize(self, shutil.rmtree, self._folder, True)
         arguments = self._arguments(self._folder, routes, seed)
-        begin = self._choose()
+        engine = self._choose()
         with self.guard():
+            begin = self._start_libsumo if engine == "libsumo" else self._start_traci
             version = begin(arguments)
         try:
             check_version(version)
@@ -108,14 +109,14 @@ class Simulation:
         global _holder
         api, running = self.api, self.running
         self.api, self.running = None, None
-        if self._pid == os.getpid():
-            if running is not None:
-                with contextlib.suppress(Exception):  # a simulator that is gone says no goodbye
-                    api.close()
+        if running is not None and self._pid == os.getpid():
+            with contextlib.suppress(Exception):  # a simulator that is gone cannot say goodbye
+                api.close()
             if running == "libsumo":
                 _holder = None
+        if self._pid == os.getpid():
             self._remove()
-        self._folder = None
+        self._folder, self._remove = None, _nothing
 
     def __del__(self) -> None:
         """A forgotten simulation must not keep libsumo from the next one."""
@@ -140,8 +141,7 @@ class Simulation:
         except MbtlError:
             raise
         except Exception as error:
-            module = type(error).__module__.partition(".")[0]
-            if module not in ("libsumo", "traci") and not isinstance(error, OSError):
+            if not _from_sumo(error):
                 raise
             report = self._report()
             self.close()
@@ -150,26 +150,26 @@ class Simulation:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _choose(self) -> Callable[[Sequence[str]], str]:
+    def _choose(self) -> Engine:
         if self._gui or self._engine == "traci":
-            return self._start_traci
-        if _is_held():
-            if self._engine == "auto":
-                return self._start_traci
-            raise SimulationFailed(
-                "libsumo holds one simulation per process and one is running; end its episode, "
-                "use another process, or engine='auto'"
-            )
-        try:
-            library("libsumo")
-        except MissingExtra as missing:
-            if self._engine == "auto":
-                with contextlib.suppress(MissingExtra):
-                    library("traci")
-                    _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
-                    return self._start_traci
-            raise
-        return self._start_libsumo
+            return "traci"
+        busy = _is_held()
+        if self._engine == "libsumo":
+            if busy:
+                raise SimulationFailed(
+                    "libsumo holds one simulation per process and one is running; end its episode, "
+                    "use another process, or engine='auto'"
+                )
+            return "libsumo"
+        if busy:
+            return "traci"
+        missing = why_not("libsumo")
+        if missing is None:
+            return "libsumo"
+        if why_not("traci") is not None:
+            raise missing
+        _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
+        return "traci"
 
     def _start_libsumo(self, arguments: Sequence[str]) -> str:
         global _holder
@@ -205,6 +205,15 @@ class Simulation:
             return ""
         log = self._folder / "errors.txt"
         return " ".join(log.read_text(encoding="utf-8").split()) if log.exists() else ""
+
+
+def _from_sumo(error: Exception) -> bool:
+    module = type(error).__module__.partition(".")[0]
+    return module in ("libsumo", "traci") or isinstance(error, OSError)
+
+
+def _has_screen() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @cache

@@ -63,7 +63,7 @@ def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command
     (file,) = (tmp_path / "matrices/multitask").glob("ring-vel-trpo-seed0.npz")
     (first,) = load_multitask("ring-vel", folder=file.parent).values()
     recipe = first.provenance[0]["recipe"]
-    assert recipe["episodes"] == 2
+    assert (recipe["episodes"], recipe["hyperparameters"]["n_episodes"]) == (2, 1)
     assert recipe["contexts"] == "uniform, one per episode; by TRPO four, or all, in an update"
     assert "there already" in mbtl_command(*command, "--engine", "jax")[2]
     other = mbtl_command(*command, "--engine", "sumo")[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -113,6 +114,9 @@ def _job(cmdp: CMDP, method: str | None, one: Trainer) -> InJax | InSimulator:
     own = str(one.algorithm).lower()
     if method not in (None, own):
         raise unknown_name(f"method for {cmdp.id!r}", str(method), [own])
+    if isinstance(one, WorldTrainer):  # an update per episode, as many as there are
+        each = one.hyperparameters.get("n_episodes", 1)
+        one = replace(one, hyperparameters={**one.hyperparameters, "n_episodes": each})
     return InSimulator(one, cmdp.space.contexts, _problem(cmdp))
 
 
