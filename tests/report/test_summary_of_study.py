@@ -66,6 +66,8 @@ def test_what_is_served_worst_is_chosen_by_other_episodes_than_those_that_say_ho
     assert (summary.worst_context, summary.worst_context_value) == (0, pytest.approx(0.72))
     assert summary.worst_tenth == pytest.approx((0.72 + 0.74) / 2)
     assert summary.served[5] == 0.1
+    said = " ".join(lines(summary, SPACE))
+    assert "; the worst context, x = 0 m, at 0.7200 (which these are, the episodes say" in said
 
 
 def test_contexts_without_weight_are_not_the_worst():

@@ -135,6 +135,15 @@ def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):
     assert study.portfolio(TRAINER).policy(1) is not None
 
 
+def test_a_run_that_could_not_be_closed_pays_for_nothing(tmp_path):
+    study = study_at(tmp_path, budget=2).run(trainer=TRAINER).study
+    (tmp_path / study.state.rows[0].policy / "x.txt").write_text("9.0")
+    study.extend(3)
+    with pytest.raises(StorageError, match="is not the one that was told"):
+        study.run(trainer=TRAINER)
+    assert len(study.refresh().picks) == 2
+
+
 def test_a_saved_policy_of_a_dead_worker_is_evaluated_and_not_trained_again(tmp_path):
     """Also where its folder is an object store: the receipt is looked for under earlier tokens."""
 

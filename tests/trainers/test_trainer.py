@@ -114,3 +114,32 @@ def test_a_class_says_what_it_can_do_and_why_not():
     assert refusal(Mine(), "start") is None
     assert refusal(Mine(), "sets").endswith("contexts: its `takes` does not name 'sets'")
     assert (Mine().whole, Mine().counts, Mine().policy_format) == (None, "steps", "custom")
+
+
+def by_context(context, seed):
+    return 0.0
+
+
+def returns(policy, contexts, seeds):
+    return [0.0] * len(contexts)
+
+
+@pytest.mark.parametrize(
+    ("functions", "words"),
+    [
+        ({"train": lambda ctx: 0}, r"train must be .* got train\(ctx\) \(too many"),
+        ({"train": lambda seed, contexts, must: 0}, "missing a required argument: 'must'"),
+        ({"train": lambda contexts, seed, *, start=None, lenght=None: 0}, "write 'length'"),
+        ({"evaluate": lambda policy: 0}, r"evaluate must be .* got evaluate\(policy\)"),
+    ],
+)
+def test_functions_that_cannot_be_called_are_refused_where_they_are_given(functions, words):
+    given = {"train": by_context, "evaluate": returns} | functions
+    with pytest.raises(InvalidInput, match=words):
+        FunctionTrainer(given["train"], given["evaluate"])
+
+
+@pytest.mark.parametrize("train", [by_context, lambda *a, **k: 0, lambda c, s, *, starts=5: 0])
+@pytest.mark.parametrize("evaluate", [returns, max, lambda p, c: 0, lambda p, c, *, seed: 0])
+def test_functions_that_can_be_called_are_taken(train, evaluate):
+    assert FunctionTrainer(train, evaluate).takes == frozenset()

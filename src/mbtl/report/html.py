@@ -190,7 +190,10 @@ def _badly_served(subject: Subject) -> str:
         for i in worst_first(routing)[:_WORST]
     ]
     table = _table(["context", "served by", "performance", *(head for head, _ in score)], rows)
-    return f"<section><h2>Served worst</h2>{table}</section>"
+    note = ""
+    if subject.fresh is not None:
+        note = "<p>As the episodes said that chose policies; performance is of fresh ones.</p>"
+    return f"<section><h2>Served worst</h2>{note}{table}</section>"
 
 
 def _picks(subject: Subject) -> str:

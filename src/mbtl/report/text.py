@@ -75,7 +75,10 @@ def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:
         worst = f"{where}, at {summary.worst_context_value:.4f}"
         if summary.risk == 1.0:
             tenth = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
-            out.append(f"{tenth}; the worst context, {worst}.")
+            by = ""
+            if summary.fresh_value is not None:  # by luck some others may be below
+                by = " (which these are, the episodes say that chose policies)"
+            out.append(f"{tenth}; the worst context, {worst}{by}.")
         else:  # V is of the worst ones, whichever they are
             out.append(f"Served worst, as far as is known: {worst}.")
     if summary.behind:

@@ -647,7 +647,11 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
 
 
 def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
-    """Where policies are not where they were: a mistyped place must not be found at the end."""
+    """Where policies are not where they were: a mistyped place must not be found at the end.
+
+    Raises:
+        StorageError: files of one have changed; the portfolio could not be made after all.
+    """
     store, rows = study.artifacts, enumerate(study.state.rows)
     kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
     if store is not None and kept and store.receipt(kept[-1][1]) is None:
@@ -657,6 +661,10 @@ def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
             f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
             "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
         )
+    elif isinstance(store, FolderStore):
+        for row in study.state.rows:
+            if row.policy and row.sha256:
+                store.read(row.policy, row.sha256)
 
 
 def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:

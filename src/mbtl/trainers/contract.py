@@ -14,6 +14,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -343,6 +344,14 @@ class FunctionTrainer(Trainer):
             raise InvalidInput(
                 "save and load come together, got only one of them; give both or neither"
             )
+        takes = _luck_of(self.evaluate_fn)
+        luck = [None] if takes is not None and takes.kind is takes.POSITIONAL_ONLY else []
+        named = {takes.name: None} if takes is not None and not luck else {}
+        _check_call("evaluate", self.evaluate_fn, (None, None, *luck), named, _EVALUATION)
+        given = {name: None for name in _parameters(self.train_fn) if name in _NAMED}
+        _check_call(
+            "train", self.train_fn, (None, None), given, f"train(context, seed) or {_ANYTHING}"
+        )
 
     @property
     def saves(self) -> bool:
@@ -387,11 +396,12 @@ class FunctionTrainer(Trainer):
         check_asked(self, contexts, start, length)
         if length is not None and start is not None and length <= done:
             return Trained(start)
-        given = {
-            "start": None if start is None else self._copied(start),
-            "length": None if length is None else length - done,
-            "on_progress": on_progress,
-        }
+        values = (
+            None if start is None else self._copied(start),
+            None if length is None else length - done,
+            on_progress,
+        )
+        given = dict(zip(_NAMED, values, strict=True))
         named = {name: given[name] for name in _parameters(self.train_fn) if name in given}
         on = list(contexts) if "sets" in self.takes else contexts[0]
         return Trained(self.train_fn(on, seed, **named))
@@ -489,6 +499,28 @@ class FunctionTrainer(Trainer):
 
 _ANYTHING = "train(contexts, seed, *, start=None, length=None)"
 """The function that can do all that a function can."""
+_NAMED = ("start", "length", "on_progress")
+"""What a training is given by name."""
+_EVALUATION = "evaluate(policy, contexts, seeds)"
+
+
+def _check_call(
+    what: str, function: Callable[..., Any], given: Sequence[Any], named: Any, rule: str
+) -> None:
+    """Refuse a function that cannot be called so, or has a name that is nearly one it is given."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # written in C
+        return
+    got = f"got {what}{signature}"
+    try:
+        signature.bind(*given, **named)
+    except TypeError as error:
+        raise InvalidInput(f"{what} must be a function {rule}, {got} ({error})") from None
+    for one in signature.parameters.values():
+        meant = get_close_matches(one.name, {*_NAMED} - {*signature.parameters}, 1, 0.8)
+        if meant and one.kind is one.KEYWORD_ONLY and one.default is None:
+            raise InvalidInput(f"{what} must be a function {rule}, {got}; write {meant[0]!r}")
 
 
 def _parameters(function: Callable[..., Any]) -> list[str]:
