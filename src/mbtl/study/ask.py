@@ -84,7 +84,7 @@ def spent(state: StudyState) -> str | None:
     spec = state.spec
     if spec.steps is None:
         over = state.paid > spec.budget - LEAST_UNIT
-        what = "units" if spec.any_training else "trainings"
+        what = ("unit" if spec.any_training else "training") + "s" * (spec.budget > 1)
         return f"the budget of {spec.budget} {what} is spent" if over else None
     left = _steps_left(state)
     least = 0.0 if spec.any_training else state.unit_steps
