@@ -139,6 +139,11 @@ def test_functions_that_cannot_be_called_are_refused_where_they_are_given(functi
         FunctionTrainer(given["train"], given["evaluate"])
 
 
+def test_a_training_that_forgets_to_return_has_failed():
+    with pytest.raises(TrainingFailed, match="train gave None"):
+        FunctionTrainer(lambda context, seed: None, returns).train([{"x": 0.0}], 0)
+
+
 @pytest.mark.parametrize("train", [by_context, lambda *a, **k: 0, lambda c, s, *, starts=5: 0])
 @pytest.mark.parametrize("evaluate", [returns, max, lambda p, c: 0, lambda p, c, *, seed: 0])
 def test_functions_that_can_be_called_are_taken(train, evaluate):

@@ -392,7 +392,11 @@ class FunctionTrainer(Trainer):
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Trained:
-        """Call `train_fn` with what it takes, for what is missing of `length`."""
+        """Call `train_fn` with what it takes, for what is missing of `length`.
+
+        Raises:
+            TrainingFailed: it gave nothing, or `start` cannot be copied.
+        """
         check_asked(self, contexts, start, length)
         if length is not None and start is not None and length <= done:
             return Trained(start)
@@ -404,7 +408,9 @@ class FunctionTrainer(Trainer):
         given = dict(zip(_NAMED, values, strict=True))
         named = {name: given[name] for name in _parameters(self.train_fn) if name in given}
         on = list(contexts) if "sets" in self.takes else contexts[0]
-        return Trained(self.train_fn(on, seed, **named))
+        if (policy := self.train_fn(on, seed, **named)) is None:
+            raise TrainingFailed("train gave None, where it must return a policy; does it return?")
+        return Trained(policy)
 
     def _copied(self, policy: Any) -> Any:
         """What a function may go on training in its place: as it would be read back, if it can."""
