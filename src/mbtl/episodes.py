@@ -14,16 +14,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import Context
 from mbtl.errors import TrainingFailed
 from mbtl.history import standard_errors
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats, refused
-
-Indices = NDArray[np.intp]
 
 _FOLDS = 5
 """At most so many folds; more would cost more and say the same."""

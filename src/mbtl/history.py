@@ -19,9 +19,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array, unwritable
+from mbtl.arrays import Array, Mask, unwritable
 from mbtl.errors import InvalidInput
 from mbtl.objective import generalisation_performance
 
@@ -172,7 +171,7 @@ class History:
         here = np.asarray(self.sources, dtype=np.intp)
         return unwritable(self.rows[np.arange(len(here)), here])
 
-    def open_mask(self, n_candidates: int) -> NDArray[np.bool_]:
+    def open_mask(self, n_candidates: int) -> Mask:
         """(M,) True where a candidate is neither trained nor pending, and never failed."""
         mask = np.ones(n_candidates, dtype=bool)
         mask[[*self.tried]] = False

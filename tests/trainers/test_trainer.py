@@ -145,6 +145,9 @@ def test_a_training_that_forgets_to_return_has_failed():
 
 
 @pytest.mark.parametrize("train", [by_context, lambda *a, **k: 0, lambda c, s, *, starts=5: 0])
-@pytest.mark.parametrize("evaluate", [returns, max, lambda p, c: 0, lambda p, c, *, seed: 0])
+@pytest.mark.parametrize(
+    "evaluate",
+    [returns, max, lambda p, c: 0, lambda p, c, *, seed: 0, lambda p, c, s, *, starts=None: 0],
+)
 def test_functions_that_can_be_called_are_taken(train, evaluate):
     assert FunctionTrainer(train, evaluate).takes == frozenset()

@@ -867,7 +867,7 @@ class AskTell:
             arrays: of the event.
         """
         if isinstance(pick, Pick) and pick.token:
-            data["token"] = pick.token
+            data = {**data, "token": pick.token}
 
         def answered(state: StudyState) -> Event:
             if isinstance(pick, Pick) and tell.is_late(state, pick):

@@ -14,16 +14,13 @@ from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.routing import SURE
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.study.problem import Beside
 from mbtl.study.state import StudyState
-
-Indices = NDArray[np.intp]
 
 CHEAP, SHARE = 200, 0.25
 """Evaluations that a report may cost where the study cost as many, and the share of the study's
@@ -188,7 +185,7 @@ def fresh_value(state: StudyState) -> FreshValue | None:
     chance = chances(weights, drawn)
     share = np.divide(weights, chance, out=np.zeros(len(weights)), where=chance > 0.0)
 
-    def doubt(some: NDArray[np.bool_], against: int | None = None) -> float:
+    def doubt(some: Mask, against: int | None = None) -> float:
         """Of what is believed there: no sample of the others, as those that break lie together."""
         at = np.flatnonzero(some)
         return routing.error(routing.route[at], at, share[at], against) if at.size else 0.0
@@ -284,6 +281,6 @@ def estimated(
     return value, float(np.hypot(margin, SURE * doubt))
 
 
-def _played(returns: Array) -> NDArray[np.bool_]:
+def _played(returns: Array) -> Mask:
     """(N,) which contexts were."""
     return np.asarray(np.isfinite(returns).all(axis=1))

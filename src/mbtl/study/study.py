@@ -21,7 +21,7 @@ from typing import Any, Literal, TextIO
 
 import numpy as np
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.errors import (
     InvalidInput,
     MbtlError,
@@ -42,7 +42,7 @@ from mbtl.study.artifacts import FolderStore
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.budget import counted
-from mbtl.study.closing_report import FreshValue, Indices, ReportPlan, fresh_value, plan_to_do
+from mbtl.study.closing_report import FreshValue, ReportPlan, fresh_value, plan_to_do
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
@@ -442,13 +442,15 @@ def run(
             if any(isinstance(one, str) for one in study.beside.baselines.values()):
                 _baselines(study, trainer)  # refuses a name before anything is trained
             _announce_others(study, announce)
-            _announce_lost(study, announce)
+            lost = _announce_lost(study, announce)
             _announce_dear_rows(study, announce)
             if study.state.equipment is not None or failures.retry_failed or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
             if failures.retry_failed:
                 begin_again(study)
             finished = study.stop_reason is not None and not study.orphans
+            if not (finished or lost):
+                _check_kept(study)
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
@@ -646,25 +648,35 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
         announce("on_note", words)
 
 
-def _announce_lost(study: Study, announce: Callable[..., None]) -> None:
-    """Where policies are not where they were: a mistyped place must not be found at the end.
-
-    Raises:
-        StorageError: files of one have changed; the portfolio could not be made after all.
-    """
+def _announce_lost(study: Study, announce: Callable[..., None]) -> bool:
+    """Whether policies are not where they were: a mistyped place must not be found at the end."""
     store, rows = study.artifacts, enumerate(study.state.rows)
     kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
-    if store is not None and kept and store.receipt(kept[-1][1]) is None:
+    lost = store is not None and bool(kept) and store.receipt(kept[-1][1]) is None
+    if store is not None and lost:
         where = store.root if isinstance(store, FolderStore) else store.url
         announce(
             "on_note",
             f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
             "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
         )
-    elif isinstance(store, FolderStore):
-        for row in study.state.rows:
-            if row.policy and row.sha256:
-                store.read(row.policy, row.sha256)
+    return lost
+
+
+def _check_kept(study: Study) -> None:
+    """Before anything is paid: without the policies told so far there is no portfolio after all.
+
+    Only those in a folder: to read an object store takes long, and costs.
+
+    Raises:
+        StorageError: files of one have changed.
+    """
+    store = study.artifacts
+    if not isinstance(store, FolderStore):
+        return
+    for row in study.state.rows:
+        if row.policy and row.sha256:
+            store.read(row.policy, row.sha256)
 
 
 def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:

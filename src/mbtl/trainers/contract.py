@@ -344,14 +344,12 @@ class FunctionTrainer(Trainer):
             raise InvalidInput(
                 "save and load come together, got only one of them; give both or neither"
             )
-        takes = _luck_of(self.evaluate_fn)
-        luck = [None] if takes is not None and takes.kind is takes.POSITIONAL_ONLY else []
-        named = {takes.name: None} if takes is not None and not luck else {}
-        _check_call("evaluate", self.evaluate_fn, (None, None, *luck), named, _EVALUATION)
-        given = {name: None for name in _parameters(self.train_fn) if name in _NAMED}
-        _check_call(
-            "train", self.train_fn, (None, None), given, f"train(context, seed) or {_ANYTHING}"
-        )
+        luck, named = _with_luck(_luck_of(self.evaluate_fn), None)
+        rule = "evaluate(policy, contexts, seeds)"
+        _check_call("evaluate", self.evaluate_fn, (None, None, *luck), named, rule)
+        rule, given = f"train(context, seed) or {_ANYTHING}", _parameters(self.train_fn)
+        named = {name: None for name in given if name in _NAMED}
+        _check_call("train", self.train_fn, (None, None), named, rule, offered=_NAMED)
 
     @property
     def saves(self) -> bool:
@@ -455,13 +453,8 @@ class FunctionTrainer(Trainer):
         takes = _luck_of(self.evaluate_fn)
 
         def returns(some: Sequence[Context], luck: Any) -> dict[str, Any]:
-            if takes is None:
-                found = self.evaluate_fn(policy, some)
-            elif takes.kind is takes.POSITIONAL_ONLY:
-                found = self.evaluate_fn(policy, some, luck)
-            else:
-                found = self.evaluate_fn(policy, some, **{takes.name: luck})
-            return self._named(found)
+            by_place, by_name = _with_luck(takes, luck)
+            return self._named(self.evaluate_fn(policy, some, *by_place, **by_name))
 
         if takes is None or takes.name != "seed":
             found = returns(contexts, seeds)
@@ -507,16 +500,27 @@ _ANYTHING = "train(contexts, seed, *, start=None, length=None)"
 """The function that can do all that a function can."""
 _NAMED = ("start", "length", "on_progress")
 """What a training is given by name."""
-_EVALUATION = "evaluate(policy, contexts, seeds)"
+
+
+def _signature(function: Callable[..., Any]) -> inspect.Signature | None:
+    """None of what is written in C."""
+    try:
+        return inspect.signature(function)
+    except (TypeError, ValueError):
+        return None
 
 
 def _check_call(
-    what: str, function: Callable[..., Any], given: Sequence[Any], named: Any, rule: str
+    what: str,
+    function: Callable[..., Any],
+    given: Sequence[Any],
+    named: Mapping[str, Any],
+    rule: str,
+    *,
+    offered: Sequence[str] = (),
 ) -> None:
-    """Refuse a function that cannot be called so, or has a name that is nearly one it is given."""
-    try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):  # written in C
+    """Refuse a function that cannot be called so, or misspells a name that it is offered."""
+    if (signature := _signature(function)) is None:
         return
     got = f"got {what}{signature}"
     try:
@@ -524,17 +528,15 @@ def _check_call(
     except TypeError as error:
         raise InvalidInput(f"{what} must be a function {rule}, {got} ({error})") from None
     for one in signature.parameters.values():
-        meant = get_close_matches(one.name, {*_NAMED} - {*signature.parameters}, 1, 0.8)
+        meant = get_close_matches(one.name, {*offered} - {*signature.parameters}, 1, 0.8)
         if meant and one.kind is one.KEYWORD_ONLY and one.default is None:
             raise InvalidInput(f"{what} must be a function {rule}, {got}; write {meant[0]!r}")
 
 
 def _parameters(function: Callable[..., Any]) -> list[str]:
     """Names of what a function takes; none of what is written in C."""
-    try:
-        return list(inspect.signature(function).parameters)
-    except (TypeError, ValueError):
-        return []
+    signature = _signature(function)
+    return [] if signature is None else list(signature.parameters)
 
 
 _SEEDS = inspect.Parameter("seeds", inspect.Parameter.POSITIONAL_ONLY)
@@ -545,16 +547,23 @@ def _luck_of(evaluate: Callable[..., Any]) -> inspect.Parameter | None:
 
     Not a third one with a default of its own, such as `episodes=10`.
     """
-    try:
-        known = list(inspect.signature(evaluate).parameters.values())
-    except (TypeError, ValueError):  # written in C
+    if (signature := _signature(evaluate)) is None:
         return _SEEDS
+    known = list(signature.parameters.values())
     named = [p for p in known if p.name in ("seed", "seeds")]
     third = [p for p in known[2:3] if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
     takes = next(iter(named + third), None)
     if takes is None or takes.kind is takes.VAR_POSITIONAL:
         return _SEEDS if any(p.kind is p.VAR_POSITIONAL for p in known) else None
     return takes
+
+
+def _with_luck(takes: inspect.Parameter | None, luck: Any) -> tuple[list[Any], dict[str, Any]]:
+    """What an evaluation is given of it, by place and by name: see `_luck_of`."""
+    if takes is None:
+        return [], {}
+    by_place = takes.kind is takes.POSITIONAL_ONLY
+    return ([luck], {}) if by_place else ([], {takes.name: luck})
 
 
 def checked_targets(targets: Sequence[int] | None, n: int) -> list[int]:
