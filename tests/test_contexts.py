@@ -202,6 +202,7 @@ def test_a_context_is_described_with_units():
         (lambda: ContextSpace.grid({}), InvalidInput, "one or more axes"),
         (lambda: ContextSpace.grid({LENGTH: 3}).context(3), InvalidInput, "0 to 2"),
         (lambda: ContextSpace.grid({LENGTH: 3}).index({"length": 1.0}), ContextMismatch, "nearest"),
+        (lambda: ContextSpace.grid({LENGTH: 3}).nearest({"mass": 1.0}), UnknownName, "mass"),
         (lambda: ContextSpace.grid({LENGTH: 3}).values("mass"), UnknownName, "mass"),
     ],
 )

@@ -42,3 +42,21 @@ def test_what_a_library_left_behind_is_ended_though_it_would_not():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "-9\n"
+
+
+def test_a_script_without_a_guard_is_told_so_before_anything_is_asked(tmp_path):
+    """Each worker runs the whole script, which would start workers of its own."""
+    (tmp_path / "script.py").write_text(
+        "import mbtl\n"
+        "def train(context, seed): return 0.0\n"
+        "def evaluate(policy, contexts, seeds): return [0.0] * len(contexts)\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})\n"
+        "problem = mbtl.CMDP.from_functions('p', space, train=train, evaluate=evaluate)\n"
+        "study = mbtl.create_study(problem, budget=3, storage='study.db', load_if_exists=True)\n"
+        "study.run(workers=mbtl.Workers(2))\n"
+    )
+    command = [sys.executable, "script.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "InvalidInput: a worker process ended as it began; a script that" in done.stderr
+    assert not mbtl.load_study(tmp_path / "study.db", strategy="auto").state.picks

@@ -550,7 +550,12 @@ class ContextSpace:
         return [{name: values[i] for name, values in found.items()} for i in range(count)]
 
     def nearest(self, context: Mapping[str, Value]) -> Context:
-        """The context with each number moved into the range of its axis."""
+        """The context with each number moved into the range of its axis.
+
+        Raises:
+            ContextMismatch: it is not a context of these axes.
+        """
+        _check_keys(self.axes, context)
         found = dict(context)
         for axis in self.axes:
             value = found.get(axis.name)

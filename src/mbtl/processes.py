@@ -22,6 +22,8 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
+from mbtl.errors import InvalidInput
+
 GRACE = 5.0
 """Seconds in which a worker that is to end may close its simulators; then it is killed."""
 
@@ -55,9 +57,13 @@ def separate_workers(workers: int) -> Iterator[SeparateWorkers]:
 
     An interrupt, and the end of a generator that holds the block, ends them with all they have
     started; any other end waits for the work under way.
+
+    Raises:
+        InvalidInput: they end as soon as they begin; nothing was handed over yet.
     """
     separate = SeparateWorkers(workers)
     try:
+        separate.begin()
         yield separate
     except (KeyboardInterrupt, GeneratorExit):
         separate.shutdown(wait=False, cancel_futures=True)
@@ -78,6 +84,21 @@ class SeparateWorkers(Executor):
         self._context = _Context()
         self._pools: list[ProcessPoolExecutor | None] = [None] * workers
         self._jobs: list[Future[Any] | None] = [None] * workers
+
+    def begin(self) -> None:
+        """Start all processes; whoever finds out with the first jobs has them to do again.
+
+        Raises:
+            InvalidInput: one ended at once.
+        """
+        try:
+            for job in [self.submit(os.getpid) for _ in self._pools]:
+                job.result()
+        except BrokenExecutor as error:
+            raise InvalidInput(
+                "a worker process ended as it began; a script that starts them must be guarded by "
+                "if __name__ == '__main__', and what else went wrong is printed above"
+            ) from error
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Give a job to an idle worker; to the first one where none is."""

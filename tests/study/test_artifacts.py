@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import shutil
 import uuid
 from dataclasses import replace
 from pathlib import Path
@@ -133,6 +134,17 @@ def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):
         study.portfolio(TRAINER)
     study.void(1, "a changed file")
     assert study.portfolio(TRAINER).policy(1) is not None
+
+
+def test_a_study_whose_policies_are_gone_goes_on_and_says_what_it_cannot_do(tmp_path):
+    study = study_at(tmp_path, budget=1).run(trainer=TRAINER).study
+    shutil.rmtree(tmp_path / "policies")
+    study.extend(2)
+    heard, ear = [], Callback()
+    ear.on_note = lambda study, words: heard.append(words)
+    result = study.run(trainer=TRAINER, callbacks=[ear])
+    assert "V on fresh episodes is not measured" in heard[0]
+    assert (len(study.state.rows), result.fresh) == (2, None)
 
 
 def test_a_run_that_could_not_be_closed_pays_for_nothing(tmp_path):

@@ -153,8 +153,8 @@ class Portfolio:
         Raises:
             ContextMismatch: the context lies outside the axes.
         """
-        asked, context = dict(context), self._inside(context, outside)
-        seen, ranking = self._ranked(context)
+        inside = self._inside(context, outside)
+        seen, ranking = self._ranked(inside)
         best, runner_up = int(ranking[0]), int(ranking[1]) if len(ranking) > 1 else None
         returns = self.bounds.denormalise(seen.performance)
         if seen.target is not None:  # the number itself where it is believed, free of rounding
@@ -173,13 +173,13 @@ class Portfolio:
             runner_up=runner_up,
             margin=behind,
             margin_error=None if runner_up is None else self._error(seen, best, runner_up),
-            instead=None if context == asked else dict(context),
+            instead=None if inside == context else dict(inside),
         )
 
     def _inside(self, context: Mapping[str, Value], outside: str) -> Mapping[str, Value]:
         """The context, or the nearest one inside."""
         check_known("way to treat a context outside", outside, ("error", "nearest"))
-        return self.space.nearest(dict(context)) if outside == "nearest" else context
+        return self.space.nearest(context) if outside == "nearest" else context
 
     def _ranked(self, context: Mapping[str, Value]) -> tuple[Forecast, Indices]:
         """What the policies should achieve on a context, and their places, the best first."""

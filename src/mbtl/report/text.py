@@ -30,7 +30,9 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
     # sentences speak of policies, which are counted in the order in which they were told
     apart = any(pick.place not in (None, pick.number) for pick in summary.picks)
-    for head in ("pick", *["policy"] * apart, "trained on", "V", "minutes"):
+    longest = max((pick.seconds or 0.0 for pick in summary.picks), default=0.0)
+    time, unit = ("minutes", 60.0) if longest >= 60.0 else ("seconds", 1.0)
+    for head in ("pick", *["policy"] * apart, "trained on", "V", time):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:
@@ -39,7 +41,7 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
             *["-" if pick.place is None else str(pick.place + 1)] * apart,
             Text(pick.trained_on(space, "\n")),
             _number(pick.value),
-            "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
+            "-" if pick.seconds is None else f"{pick.seconds / unit:.1f}",
             Text(pick.reason if pick.status in ("told", "evaluated") else pick.status),
         )
     return found

@@ -469,7 +469,7 @@ def run(
             finally:
                 batches.give_back_held()
         _check_any_success(study)
-        if report:
+        if report and not lost:
             _report(study, trainer, announce, workers.timeout, whole=report == "all")
     finally:
         announce("on_end")
@@ -658,7 +658,8 @@ def _announce_lost(study: Study, announce: Callable[..., None]) -> bool:
         announce(
             "on_note",
             f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
-            "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
+            "it, nor is it evaluated again, so V on fresh episodes is not measured; is artifacts "
+            "(--artifacts) what it was?",
         )
     return lost
 
