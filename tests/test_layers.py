@@ -115,7 +115,7 @@ PUBLIC = (
 )  # fmt: skip
 """Modules of the tool that the API reference documents, with an `__all__`."""
 NOT_PUBLIC = {
-    "arrays of float64, and those that many share": "arrays.Array arrays.unwritable",
+    "arrays, and those that many share": "arrays.Array arrays.Indices arrays.unwritable",
     "commands of the zoo look, print and end like the tool's": (
         "cli.adapt.context_of cli.common.JsonFlag cli.common.LongWork cli.common.console "
         "cli.common.interruptible cli.common.print_json cli.common.printer"

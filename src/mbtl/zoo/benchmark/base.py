@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.objective import value_curve
 from mbtl.routing import rank, routed, routes
 from mbtl.selectors.base import SelectionProblem
@@ -90,7 +90,7 @@ class Levels:
 
 def row_blocks(
     source: RowSource, seed: int, *, block_bytes: int = BLOCK_BYTES
-) -> Iterator[tuple[NDArray[np.intp], Array]]:
+) -> Iterator[tuple[Indices, Array]]:
     """All rows in order, in blocks of bounded memory: (sources (m,), rows (m, N))."""
     size = max(1, block_bytes // (8 * source.n))
     everyone = source.problem(1).sources

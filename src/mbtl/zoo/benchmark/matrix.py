@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbtl.arrays import Array, unwritable
+from mbtl.arrays import Array, Indices, unwritable
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
 from mbtl.files import MALFORMED
@@ -72,7 +72,7 @@ def checked_returns(returns: ArrayLike, key: str = "returns", *, square: bool = 
     return array
 
 
-def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.intp] | None:
+def checked_sources(sources: ArrayLike | None, returns: Floats) -> Indices | None:
     """(M,) rising indices of contexts; None where they are all N."""
     if sources is None:
         return None
@@ -91,7 +91,7 @@ def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.in
     return None if m == n else array.astype(np.intp)
 
 
-def same_sources(one: NDArray[np.intp] | None, other: NDArray[np.intp] | None) -> bool:
+def same_sources(one: Indices | None, other: Indices | None) -> bool:
     """Whether two matrices are of trainings on the same contexts; None: on all."""
     if one is None or other is None:
         return one is other
@@ -341,7 +341,7 @@ class TransferMatrix:
     fresh_returns: Floats | None = None
     episodes: tuple[int, ...] | None = None
     references: Mapping[str, Floats] = field(default_factory=dict)
-    sources: NDArray[np.intp] | None = None
+    sources: Indices | None = None
 
     def __post_init__(self) -> None:
         returns = checked_returns(self.returns, square=self.sources is None)
@@ -557,7 +557,7 @@ class TransferMatrix:
         return int(self.returns.shape[0])
 
     @property
-    def trained(self) -> NDArray[np.intp]:
+    def trained(self) -> Indices:
         """(M,) contexts that were trained on, rising."""
         return np.arange(self.n) if self.sources is None else self.sources
 
@@ -591,7 +591,7 @@ class TransferMatrix:
         reported = self.returns if self.fresh_returns is None else self.fresh_returns
         return self.bounds.normalise(reported[seed, self._places(sources)])
 
-    def _places(self, sources: ArrayLike) -> NDArray[np.intp]:
+    def _places(self, sources: ArrayLike) -> Indices:
         """Rows of some sources."""
         wanted = np.asarray(sources, dtype=np.intp)
         if self.sources is None:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, check_known
 from mbtl.objective import Bounds, direction_named
@@ -65,7 +65,7 @@ class TransferData:
 
     name: str
     space: ContextSpace
-    sources: NDArray[np.intp]
+    sources: Indices
     bounds: Bounds
     episodes: tuple[int, int]
     specialists: Array

@@ -26,9 +26,8 @@ from typing import Any, ClassVar, Literal, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Discrete
-from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, Indices
 from mbtl.canvas import Window
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput, check_known
@@ -479,7 +478,7 @@ def check_context(features: Mapping[str, float]) -> None:
         raise ContextMismatch(f"inflow is a number of cars >= 2, got {inflow!r}")
 
 
-def cell_of(distance: Array, edges: Array) -> NDArray[np.intp]:
+def cell_of(distance: Array, edges: Array) -> Indices:
     """Index of the cell in which a car is; a car at an edge is in the farther one.
 
     Args:
