@@ -45,7 +45,7 @@ _COUNTS = ("eval_episodes", "checkpoint_episodes")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _JUDGED = 20
-"""Evaluations in a unit of one policy for several contexts, where the recipe keeps the best."""
+"""Evaluations in a unit of a training of a given length, where the recipe keeps the best."""
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
 _SPENT, _FROM, _BRANCH, _SEED = "spent", "from", "branch", "seed"
@@ -131,7 +131,7 @@ class WorldTrainer:
         best, wide = f"the best of about {_JUDGED} evaluations a unit", "twice as wide as `hidden`"
         always = {
             "schedule": "falling slowly, and to zero along a last fifth",
-            "checkpoint": best if self._judges_sets else "final",
+            "checkpoint": best if self._judges else "final",
         }
         if self._by_ppo or self.episodes is not None:
             return always | {
@@ -150,8 +150,8 @@ class WorldTrainer:
         return self.algorithm == "PPO" and self.episodes is None
 
     @property
-    def _judges_sets(self) -> bool:
-        """Whether one policy for several contexts keeps the best of its evaluations."""
+    def _judges(self) -> bool:
+        """Whether a training of a given length keeps the best of its evaluations."""
         return self.checkpoint == "best" and not self._by_ppo
 
     @property
@@ -264,13 +264,13 @@ class WorldTrainer:
         A whole training on one context follows the recipe, which may say that the best of periodic
         evaluations counts. A training of a given `length`, and one on several contexts, has a
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
-        (`mbtl.engine.learners.growing`). By PPO that counts steps, and on one context, it has the
-        latest weights and does not evaluate itself. Else, where the recipe keeps the best, so does
-        it: twenty times a unit each context is played once, which its steps do not count, as a
-        specialist's. Where it begins with the policy of another one, whose state is there, it
-        inherits the latter's critic, optimiser, statistics and learning rate, and its actor before
-        it was finished, or the best of its evaluations; else the critic, which no policy carries,
-        begins anew.
+        (`mbtl.engine.learners.growing`). By PPO that counts steps it has the latest weights and
+        does not evaluate itself. Else, where the recipe keeps the best, so does it: twenty times a
+        unit each context is played once, a single one `checkpoint_episodes` times; its steps do not
+        count that, as a specialist's do not. Where it begins with the policy of another one, whose
+        state is there, it inherits the latter's critic, optimiser, statistics and learning rate,
+        and its actor before it was finished, or the best of its evaluations; else the critic, which
+        no policy carries, begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
         counted, its copies of the world take turns in the contexts, and its layers are mostly
@@ -458,9 +458,10 @@ class WorldTrainer:
         recipe = self._learner_of(world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
-        judged = -(-whole // _JUDGED) if n > 1 and self._judges_sets else 0
+        judged = -(-whole // _JUDGED) if self._judges else 0
+        episodes = n if n > 1 else self.checkpoint_episodes
         return engine.Growing(
-            world, recipe, list(seeds), spread, whole, judged=judged, acting=self.how
+            world, recipe, list(seeds), spread, whole, 0, judged, episodes, self.how
         )
 
     def _learner_of(self, world: Any, n: int) -> Any:

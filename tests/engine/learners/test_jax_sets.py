@@ -216,11 +216,12 @@ def test_the_best_of_its_evaluations_is_the_policy_and_they_do_not_disturb_it():
     assert same_policy(*(plain.policies(one.state.weights)[0] for one in (alone, trunk)))
 
 
-def test_only_recipes_by_episodes_and_dqn_that_keep_the_best_judge_one_policy_for_all():
+def test_only_recipes_by_episodes_and_dqn_that_keep_the_best_judge_what_may_go_on():
     ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
-    sets = [{"hold": 5.0}, {"hold": 10.0}]
-    assert ring._growing([sets], [0]).judged > 0
-    for trainer, some in ((ring, sets[:1]), (replace(ring, checkpoint="final"), sets)):
-        assert trainer._growing([some], [0]).judged == 0
+    for sets, episodes in (([{"hold": 5.0}, {"hold": 10.0}], 2), ([{"hold": 5.0}], 10)):
+        growing = ring._growing([sets], [0])
+        assert growing.judged == -(-growing.whole // 20)
+        assert growing.episodes == episodes
+        assert replace(ring, checkpoint="final")._growing([sets], [0]).judged == 0
     assert TRAINER._growing([CONTEXTS], [0]).judged == 0
     assert replace(TRAINER, algorithm="DQN", hyperparameters={})._growing([CONTEXTS], [0]).judged

@@ -53,8 +53,9 @@ class Growing(NamedTuple):
         whole: updates of one unit, within a share of which exploration falls.
         before: updates of the trainings that these are tuned from, as long as these ones
             (docs/decisions.md).
-        judged: updates between two evaluations, on each of the contexts once, of which the best one
-            is the policy; 0: the latest weights are.
+        judged: updates between two evaluations, of which the best one is the policy; 0: the latest
+            weights are.
+        episodes: of an evaluation, on all contexts together.
         acting: how actions are chosen there.
     """
 
@@ -65,6 +66,7 @@ class Growing(NamedTuple):
     whole: int
     before: int = 0
     judged: int = 0
+    episodes: int = 1
     acting: Acting = "mean"
 
     def start(self, weights: Weights | None = None) -> Training:
@@ -110,7 +112,6 @@ class Growing(NamedTuple):
     ) -> Training:
         if until == 0:  # it begins at its end, from the policy that it had
             return training
-        n_contexts = self.params.visible.shape[1] if self.params.visible.ndim == 3 else 1
         unit = self.recipe.update_length
         return train(
             self.world,
@@ -120,7 +121,7 @@ class Growing(NamedTuple):
             until * unit,
             on_block=on_block,
             checkpoint_every=self.judged * unit or None,
-            checkpoint_episodes=n_contexts,
+            checkpoint_episodes=self.episodes,
             acting=self.acting,
             resume=training,
             judging=self.judged > 0,
