@@ -157,8 +157,9 @@ class History:
 
     @property
     def tried(self) -> tuple[int, ...]:
-        """All contexts that were asked for: trained, pending or failed."""
-        return (*self.sources, *self.pending, *self.failed)
+        """All contexts that a specialist was asked for on: trained, pending or failed."""
+        alone = (s for row, s in enumerate(self.sources) if self.made(row).is_specialist)
+        return (*alone, *self.pending, *self.failed)
 
     @cached_property
     def best(self) -> Array:
@@ -172,7 +173,7 @@ class History:
         return unwritable(self.rows[np.arange(len(here)), here])
 
     def open_mask(self, n_candidates: int) -> Mask:
-        """(M,) True where a candidate is neither trained nor pending, and never failed."""
+        """(M,) True where a specialist is neither trained nor pending, and never failed."""
         mask = np.ones(n_candidates, dtype=bool)
         mask[[*self.tried]] = False
         return mask

@@ -9,6 +9,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.benchmark import (
     RowSource,
     SyntheticWorld,
+    linear_gap_world,
     random_curve,
     sequential_oracle,
     synthetic_ids,
@@ -100,6 +101,17 @@ def test_noise_differs_between_rows_and_seeds_and_has_the_stated_size():
     assert np.abs(rows - np.eye(20)).max() < 0.15  # 6 sigma of independent rows of 1600
 
 
+def test_worlds_of_other_names_have_noise_of_their_own():
+    worlds = [
+        linear_gap_world(100, noise=noise, name=name)
+        for noise, name in ((0.1, "a"), (0.1, "b"), (0.0, "c"))
+    ]
+    one, other, smooth = (world.returns(0, np.arange(100)).ravel() for world in worlds)
+    assert abs(np.corrcoef(one - smooth, other - smooth)[0, 1]) < 0.05
+    few, usual = (synthetic_world(f"synthetic:1d-lin-lin-l1-eta5{seeds}") for seeds in ("@1", ""))
+    np.testing.assert_array_equal(few.returns(0, [3]), usual.returns(0, [3]))
+
+
 def test_bounds_are_exact_over_all_seeds_or_each_alone():
     for scale in ("all", "each"):
         world = SyntheticWorld(
@@ -131,6 +143,13 @@ def test_several_seeds_without_noise_would_be_one_matrix_counted_twice():
         ({"noise": -1.0}, "noise"),
         ({"quality": np.zeros(3)}, "quality"),
         ({"n_seeds": 0}, "at least one seed"),
+        ({"quality": np.nan}, "quality must be a finite number or 4 of them, got nan"),
+        ({"difficulty": "a"}, "difficulty must be"),
+        ({"shape": (2.5,)}, "a level count must be a whole number, got 2.5"),
+        ({"n_seeds": 1.5}, "n_seeds must be a whole number"),
+        ({"right": (np.inf,)}, "right must be finite"),
+        ({"noise": "a"}, "noise must be a number"),
+        ({"name": None}, "name is a text"),
     ],
 )
 def test_world_rules(change, match):

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mbtl
 import transfer_worlds
 from mbtl.errors import InvalidInput, MbtlError
 from mbtl.history import Training
+from mbtl.models.priors import PRIORS
 from mbtl.selectors import Proposal, get_selector
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.replay import replay
@@ -158,3 +160,23 @@ def test_noise_is_told_as_standard_errors_and_v_is_of_the_other_episodes():
     assert run.history.errors[0] == pytest.approx(0.2 / np.sqrt(10))
     assert run.history.rows[0] == pytest.approx(data.generalists[1.0][0, 0])
     assert run.value == pytest.approx([data.generalists[1.0][0, 1].mean()])
+
+
+def test_a_run_ends_where_a_whole_training_is_asked_for_and_half_a_unit_is_left():
+    run = asked(everybody(0.5), Proposal(4, ""), Proposal(6, ""), Proposal(8, ""), budget=2)
+    assert run.units == pytest.approx([0.5, 1.5])
+    assert run.refused == ()
+
+
+def test_a_policy_for_all_closes_no_context_for_specialists():
+    history = asked(everybody(0.5), Proposal(4, ""), budget=2).history
+    assert history.tried == (4,)
+    assert np.flatnonzero(~history.open_mask(history.n_targets)).tolist() == [4]
+
+
+def test_a_strategy_is_replayed_as_if_it_had_never_seen_the_family():
+    data = mbtl.load_transfers("pendulum-length")
+    world, own = TransferWorld(data, 0), get_selector("specialists")
+    fair, seen = own.without("pendulum"), replace(own, prior=PRIORS["all"])
+    runs = [replay_trainings(one, world, 6).trainings for one in (own, fair, seen)]
+    assert runs[0] == runs[1] != runs[2]

@@ -4,8 +4,9 @@
     loss_q(D) = left_q min(D, 0) + right_q max(D, 0),    Z ~ N(0, 1), independent
 
 f is source quality, g target difficulty; left = -right makes the loss a distance, left > 0 makes
-return rise while the source lies below the target, which no distance does. Z is keyed by (seed,
-source), so a row is the same in whatever order rows are asked for and no matrix is ever stored.
+return rise while the source lies below the target, which no distance does. Z is keyed by (name,
+seed, source): a row is the same in whatever order rows are asked for, no matrix is ever stored, and
+worlds of other names have other noise.
 
 Notation (shapes): N contexts on a grid of d axes with n_q levels (C order, last axis fastest).
 Source: SD-MBTL (AAAI 2026), section on synthetic data; the linear-gap world is MBTL's assumption.
@@ -13,6 +14,7 @@ Source: SD-MBTL (AAAI 2026), section on synthetic data; the linear-gap world is 
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,7 +25,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Integer
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
-from mbtl.plain import finite
+from mbtl.plain import finite, floats, short, whole
 from mbtl.selectors.base import SelectionProblem, default_theta
 from mbtl.zoo.benchmark.base import BLOCK_BYTES
 
@@ -33,7 +35,8 @@ class SyntheticWorld:
     """A family member: a `RowSource` whose matrices follow the formula above.
 
     Attributes:
-        name: what results call it.
+        name: what results call it, and where its noise comes from; "@" and what follows counts
+            seeds (`synthetic_world`) and has no part in that.
         shape: (d,) levels per axis; N is their product.
         quality: f, (N,) or a number, in units of return.
         difficulty: g, (N,) or a number, in units of return.
@@ -60,14 +63,21 @@ class SyntheticWorld:
     _scales: dict[int, Bounds] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InvalidInput(f"name is a text, got {short(self.name)}")
+        for label, each in (("a level count", self.shape), ("n_seeds", (self.n_seeds,))):
+            for number in each:
+                whole(label, number)
+        for label, each in (("left", self.left), ("right", self.right)):
+            for number in each:
+                finite(label, number)
         d = len(self.shape)
         if d < 1 or min(self.shape) < 1 or len(self.left) != d or len(self.right) != d:
             raise InvalidInput(
                 f"a world needs one level count, left and right slope per axis, got shape "
                 f"{self.shape}, left {self.left} and right {self.right}"
             )
-        if not (np.isfinite(self.noise) and self.noise >= 0):
-            raise InvalidInput(f"noise must be finite and >= 0, got {self.noise!r}")
+        finite("noise", self.noise, 0.0)
         if self.n_seeds < 1 or (self.n_seeds > 1 and self.noise == 0):
             raise InvalidInput(
                 f"a world has at least one seed, and just one without noise, where all are equal; "
@@ -76,8 +86,14 @@ class SyntheticWorld:
         if not isinstance(self.scale, Bounds) and self.scale not in ("all", "each"):
             raise InvalidInput(f"scale must be Bounds, 'all' or 'each', got {self.scale!r}")
         for label, term in (("quality", self.quality), ("difficulty", self.difficulty)):
-            if np.shape(term) not in ((), (self.n,)):
-                raise InvalidInput(f"{label} must be a number or ({self.n},), got {np.shape(term)}")
+            try:
+                known = np.isfinite(floats(term))
+            except (TypeError, ValueError):
+                known = np.array(False)
+            if known.shape not in ((), (self.n,)) or not known.all():
+                raise InvalidInput(
+                    f"{label} must be a finite number or {self.n} of them, got {short(term)}"
+                )
 
     @property
     def n(self) -> int:
@@ -115,7 +131,7 @@ class SyntheticWorld:
         rows += np.asarray(self.difficulty)
         if self.noise:
             for row, source in zip(rows, index.tolist(), strict=True):
-                row += self.noise * _row_noise(seed, source, self.n)
+                row += self.noise * _row_noise(self._key, seed, source, self.n)
         return rows
 
     def rows(self, seed: int, sources: ArrayLike) -> Array:
@@ -143,6 +159,11 @@ class SyntheticWorld:
         return self._scales[seed]
 
     @cached_property
+    def _key(self) -> int:
+        """32 bits of the name."""
+        return zlib.crc32(self.name.partition("@")[0].encode())
+
+    @cached_property
     def _losses(self) -> list[Array]:
         """Per axis (n_q, n_q): loss from a source level to a target level."""
         tables = []
@@ -160,9 +181,9 @@ class SyntheticWorld:
         return low, high
 
 
-def _row_noise(seed: int, source: int, n: int) -> Array:
+def _row_noise(world: int, seed: int, source: int, n: int) -> Array:
     """(n,) standard normals of one row; counter-based, so that rows need no common stream."""
-    key = np.array([seed, source], dtype=np.uint64)
+    key = np.array([world << 32 | seed, source], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key)).standard_normal(n)
 
 

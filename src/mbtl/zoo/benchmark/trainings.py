@@ -8,10 +8,13 @@ A strategy asks as it does in a study, and what it asks for is rounded to what t
   the one asked for (a copy of the policy of 8 units is answered by that of 4), its length likewise;
 - one context from scratch: the whole training.
 
-Each costs the units between its marks. What the data cannot answer (some contexts but not all, a
-context without trainings, a copy of a specialist) counts as a training that gave nothing, at no
-price, so that a strategy which takes failures into account asks for something else; the run has it
-among `refused`. Policies are evaluated on all targets, whatever a proposal says.
+Each costs the units between its marks. Where a new training is longer than what is left, and there
+is no shorter one, the run ends. What the data cannot answer (several contexts that lack some of the
+sources, a context without trainings, a copy of a specialist or of less than a unit, a length of 0)
+counts as a training that gave nothing, at no price, so that a strategy which takes failures into
+account asks for something else; the run has it among `refused`. Policies are evaluated on all
+targets, whatever a proposal says. A strategy that learned from matrices has not seen those of the
+family (`held_out`).
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, default_theta
 from mbtl.selectors.contract import Proposes, check_proposal, traits_of
 from mbtl.strategies import get_strategy
+from mbtl.zoo.benchmark.compare import held_out
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.transfers import TransferData
 
@@ -157,10 +161,15 @@ class TransferWorld:
             asked: the training.
             source: the context in its middle.
             left: units.
+
+        Raises:
+            Exhausted: a new training is longer than what is left, and nothing shorter is there.
         """
         before = rows[asked.start or 0].training.length if asked.goes_on else 0.0
         marks, bounds = self._marks(rows, asked), self.data.bounds
         mark = _rounded(list(marks), asked.length, before, left) if asked.length else None
+        if mark is None and marks and not asked.goes_on and asked.length > left + _LEAST:
+            raise Exhausted(f"{left:g} units are left, and more is asked for")
         if mark is None or any(row.training == replace(asked, length=mark) for row in rows):
             return None
         (seen, fresh), deviation = bounds.normalise(marks[mark][0]), marks[mark][1]
@@ -222,7 +231,7 @@ class TransferWorld:
 def replay_trainings(
     strategy: str | Proposes, world: TransferWorld, budget: int, *, seed: int = 0
 ) -> TrainingsRun:
-    """Let a strategy ask until its units are spent, or it has nothing more to ask for.
+    """Let a strategy ask until its units are spent, or it asks for nothing that they buy.
 
     It ends after 50 trainings that the data cannot answer, too; `refused` of the run has them.
 
@@ -236,7 +245,8 @@ def replay_trainings(
         InvalidInput: a proposal breaks the contract, or is one that was made before; the budget or
             the seed is no whole number.
     """
-    strategy, budget, seed = get_strategy(strategy), whole("budget", budget), whole("seed", seed)
+    budget, seed = whole("budget", budget), whole("seed", seed)
+    strategy = held_out(get_strategy(strategy), world.data.name)
     alone = not traits_of(strategy).any_training
     problem = world.problem(budget, any_training=not alone)
     rows, refused = list[Row](), list[Training]()
@@ -260,7 +270,10 @@ def replay_trainings(
                 f"a training is asked for once, got {short(asked)} again from {strategy.name!r}; "
                 "`history.asked` has those that are done or gave nothing"
             )
-        row = world.answer(rows, asked, proposal.source, problem.budget - paid)
+        try:
+            row = world.answer(rows, asked, proposal.source, problem.budget - paid)
+        except Exhausted:
+            break
         if row is None:
             refused.append(asked)
             continue
