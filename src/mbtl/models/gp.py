@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
+from mbtl.plain import real
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 _BLOCK = 1 << 16  # query rows per block: 64 Ki rows x 45 observations is 24 MiB
@@ -45,8 +46,7 @@ class GPSettings:
     length_bounds: tuple[float, float] = (1e-2, 1e2)
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.noise_std) and self.noise_std > 0):
-            raise InvalidInput(f"noise_std must be finite and > 0, got {self.noise_std!r}")
+        real("noise_std", self.noise_std)
         for low, high in (self.amplitude_bounds, self.length_bounds):
             if not 0 < low < high < np.inf:
                 raise InvalidInput(
@@ -106,8 +106,16 @@ class FittedGP:
         log_det = -2.0 * np.log(np.diagonal(inverse)).sum()
         return float(-0.5 * self.y @ alpha - 0.5 * log_det - 0.5 * len(self.y) * LOG_2PI)
 
-    def predict(self, points: Array) -> tuple[Array, Array]:
-        """Posterior mean (M,) and standard deviation (M,) without noise, in bounded memory."""
+    def predict(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Posterior mean (M,) and standard deviation (M,) without noise, in bounded memory.
+
+        Args:
+            points: (M, D), or (M,) where D = 1.
+
+        Raises:
+            InvalidInput: they are no such points.
+        """
+        points = _located(points, self.points.shape[1])
         inverse, alpha, _ = self._factor
         mean, variance = np.empty(len(points)), np.empty(len(points))
         for start in range(0, len(points), _BLOCK):
@@ -139,8 +147,7 @@ def rbf(squared: Array, length: float) -> Array:
 
 def checked_data(points: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     """Observations as float64 (n, D) and (n,); raises `InvalidInput` when they are unusable."""
-    x = np.asarray(points, dtype=np.float64)
-    x = x[:, None] if x.ndim == 1 else x
+    x = _located(points)
     target = np.asarray(y, dtype=np.float64)
     if target.ndim != 1 or len(target) < 1 or x.shape[0] != len(target):
         raise InvalidInput(
@@ -151,6 +158,16 @@ def checked_data(points: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
             "a GP needs finite points and values, got NaN or infinity; drop those rows"
         )
     return x, target
+
+
+def _located(points: ArrayLike, d: int | None = None) -> Array:
+    """(M, D) points, of d columns where that is said."""
+    x = np.asarray(points, dtype=np.float64)
+    x = x[:, None] if x.ndim == 1 else x
+    if x.ndim != 2 or d not in (None, x.shape[1]):
+        columns = "D" if d is None else d
+        raise InvalidInput(f"points of a GP have the shape (n, {columns}), got {x.shape}")
+    return x
 
 
 # ---- the fit -------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
     cmdps         the paper's 22 CMDPs and two more, in Gymnasium and SUMO
     worlds        the same simulators in jax, for whole batches
     benchmark     transfer matrices, replay, comparison of selectors
-    actions       strategies that count steps, on recorded trainings
+    small         two hundred small problems, to tell rules apart
     reproduction  the paper's tables and figures
     cli           the commands of all that
 

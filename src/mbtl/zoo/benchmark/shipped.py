@@ -280,7 +280,7 @@ def synthetic_world(name: str) -> SyntheticWorld:
     if match is None or not (match["gap"] or _is_variant(match)):
         raise unknown_name(
             "synthetic world", name, synthetic_ids(),
-            hint="mbtl.zoo.benchmark.synthetic_ids() lists all.",
+            hint="synthetic_ids() of mbtl.zoo.benchmark lists all.",
         )  # fmt: skip
     n_seeds = int(match["seeds"]) if match["seeds"] else None
     if match["gap"]:
