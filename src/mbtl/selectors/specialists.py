@@ -1,7 +1,8 @@
 """Specialists: train where whole rows seen so far promise the largest expected gain.
 
-The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.transfer_gp.TransferGP`, which learns
-from every entry of every row. The gain that is shown with a pick is the one it was chosen by.
+The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.transfer_gp`, which
+learns from every entry of every row. The gain that is shown with a pick is the one it was chosen
+by.
 Beyond some hundred contexts a part of the targets, spread over the space, stands for all of them,
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
