@@ -126,8 +126,8 @@ NOT_PUBLIC = {
         "files.read_arrays files.read_json portfolio.archive.MANIFEST"
     ),
     "input is checked, and refused in the same words": (
-        "plain.LARGEST plain.array_of plain.finite plain.floats plain.real plain.refused plain.short "
-        "plain.whole"
+        "plain.LARGEST plain.array_of plain.finite plain.floats plain.real plain.refused "
+        "plain.short plain.whole"
     ),
     "processes and threads are counted and ended by one rule": (
         "processes.native_threads processes.threads_for processes.usable_cores "

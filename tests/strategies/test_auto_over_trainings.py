@@ -207,6 +207,16 @@ def test_another_worker_waits_for_the_first_policy_and_then_does_something_else(
     assert len(Auto().propose(problem(), busy, RNG).contexts) == 1
 
 
+def test_what_crashed_once_is_tried_for_half_as_long_and_no_third_time():
+    once, twice = (Training(ALL, 1, length, goes_on=True) for length in (2.0, 1.5))
+    fast = told(HALF, WHOLE, rows=[np.full(N, 0.3), np.full(N, 0.5)])
+    found = Auto().propose(problem(), replace(fast, given_up=(once,), paid=2.0), RNG)
+    assert (found.contexts, found.start, found.length) == (ALL, 1, 1.5)
+    assert "failed, so half as much" in found.notes[0]
+    found = Auto().propose(problem(), replace(fast, given_up=(once, twice), paid=2.5), RNG)
+    assert len(found.contexts) == 1
+
+
 def test_half_a_unit_that_is_left_of_a_failed_one_ends_the_study():
     half = History(N, given_up=(HALF,), failed=(1, 2, 3), paid=14.5)
     with pytest.raises(Exhausted, match="less left than a whole training"):

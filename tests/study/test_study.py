@@ -256,6 +256,21 @@ def test_a_study_that_ended_early_goes_on_when_all_is_to_be_spent(tmp_path):
     assert study.stop_reason is None
 
 
+def test_a_study_that_reached_its_level_goes_on_to_another_one_or_to_the_end(tmp_path):
+    study = new(tmp_path, stop_value=0.01, stop_left=0.001)
+    told(study, row, 1)
+    assert "reaches the level 0.01" in study.stop_reason
+    with pytest.raises(StudyMismatch, match=r"stop_value was 0\.01, got None .*run --all"):
+        new(tmp_path, stop_left=0.001, load_if_exists=True)
+    further = new(tmp_path, stop_value=0.99, stop_left=0.001, load_if_exists=True)
+    assert (further.spec.stop_value, further.spec.stop_left) == (0.99, 0.001)
+    assert further.stop_reason is None
+    assert new(tmp_path, load_if_exists=True).stop_reason is None
+    assert mbtl.load_study(tmp_path).spec.stop_value is None
+    with pytest.raises(InvalidInput, match="value must be a number"):
+        study.stop_at("high")
+
+
 def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
     study = new(bounds=(0.0, 2.0))
     episodes = np.stack([row(9) - 0.3, row(9), row(9) + 0.3], axis=1)

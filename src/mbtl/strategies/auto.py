@@ -143,9 +143,11 @@ class Auto:
         more = min(made.length, standing.left)
         if standing.begins:
             more = min(1.0 - made.length, more)
-        if not standing.can_go_on or more < _LEAST:
+        if any(one.start == row and one.goes_on for one in history.under_way):
             return None
-        if any(one.start == row and one.goes_on for one in history.asked):
+        failed = sum(one.start == row and one.goes_on for one in history.given_up)
+        more /= 2.0**failed  # a crash may be a passing one, and another training than that is asked
+        if not standing.can_go_on or more < _LEAST or failed > 1:
             return None
         reason, length = "all contexts, longer", made.length + more
         gain, scatter, in_all = 1.0, np.inf, np.inf
@@ -161,11 +163,13 @@ class Auto:
                 rise = (doubt * rise + seen * recent) / (doubt + seen)
                 scatter = max(abs(recent) / 2.0, abs(recent - last), error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
+            gain /= 1.0 + failed
             in_all = rise * np.log2((made.length + standing.left) / made.length)
         promised = None if standing.begins else gain
+        notes = ("going on with the policy for all failed, so half as much is asked for",) * failed
         proposal = Proposal(
             history.sources[row], reason, promised, start=row, length=length, sources=made.contexts,
-            chance_left=_chance(problem.least_left, in_all, scatter),
+            chance_left=_chance(problem.least_left, in_all, scatter), notes=notes,
         )  # fmt: skip
         return Option(proposal, gain, more)
 

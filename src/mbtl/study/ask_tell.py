@@ -653,10 +653,16 @@ class AskTell:
         self._commit(extended)
 
     def spend_all(self) -> None:
-        """From now on do not end before the budget for want of gain (`Stopping.left`)."""
-        self._commit(
-            lambda state: Event("extended", {"budget": state.spec.budget, "to_the_end": True})
-        )
+        """From now on end only when the budget is spent, whatever `Stopping` said."""
+        self._end_at(None, to_the_end=True)
+
+    def stop_at(self, value: float) -> None:
+        """From now on end when V reaches this, and not the level before (`Stopping.value`)."""
+        self._end_at(finite("value", value))
+
+    def _end_at(self, value: float | None, **more: bool) -> None:
+        ends = {"stop_value": value, **more}
+        self._commit(lambda state: Event("extended", {"budget": state.spec.budget, **ends}))
 
     def record_fresh_returns(
         self,

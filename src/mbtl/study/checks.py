@@ -136,7 +136,8 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     if not state.seq:
         return {"version": is_text, "uid": _is_uid, "spec": is_record}
     n, asked, rows = state.spec.space.n, len(state.picks), len(state.rows)
-    least, now, same = state.spec.budget, state.spec.steps, event.data.get("to_the_end")
+    least, now = state.spec.budget, state.spec.steps
+    same = event.data.get("to_the_end") or "stop_value" in event.data
     cost = state.spec.cost_budget
 
     def number(holds: Callable[[int], bool]) -> Rule:
@@ -173,6 +174,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
             "steps": more,
             "cost_budget": or_null(lambda c: cost is not None and at_least(cost)(c)),
             "to_the_end": or_null(is_flag),
+            "stop_value": or_null(is_number),
         },
         "asked": {
             "pick": number(lambda i: i == asked),

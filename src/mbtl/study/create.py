@@ -103,8 +103,8 @@ def create_study(
             the only one in a file, as `mbtl run` makes one.
         seed: root of the seed tree.
         load_if_exists: go on with a study of this name and settings. A larger budget raises that of
-            the study, which goes on even if it was finished, and so does `stopping` without `left`
-            where there was one; a smaller budget is refused.
+            the study, which goes on even if it was finished; so it does with another `value` of
+            `stopping`, or without any where there was one. A smaller budget is refused.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown strategy, ...
@@ -150,8 +150,11 @@ def create_study(
         if _sizes(spec) > _sizes(study.spec):
             total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget
             study.extend(total if spec.steps is None else Steps(spec.steps))
-        if spec.stop_left is None and study.spec.stop_left is not None:
+        before = (study.spec.stop_left, study.spec.stop_value)
+        if spec.stop_left is None and before != (None, spec.stop_value):
             study.spend_all()
+        if spec.stop_value is not None and study.spec.stop_value != spec.stop_value:
+            study.stop_at(spec.stop_value)
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
 
@@ -336,9 +339,12 @@ def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
 
 
 def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
-    """Refuse other settings; what extends the study is none: a larger budget, all of it spent."""
-    stored = state.spec
-    now = replace(given, stop_left=stored.stop_left if given.stop_left is None else given.stop_left)
+    """Refuse other settings; what extends the study is none: a larger budget, another end."""
+    stored, now = state.spec, given
+    if given.stop_left is None:
+        now = replace(now, stop_left=stored.stop_left, stop_value=stored.stop_value)
+    elif given.stop_value is not None:
+        now = replace(now, stop_value=stored.stop_value)
     for size in ("budget", "steps", "cost_budget"):
         if (getattr(given, size) or 0) >= ((before := getattr(stored, size)) or 0):
             now = replace(now, **{size: before})
@@ -350,7 +356,7 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
         key, *values = difference
         usual = key.startswith("selector.")  # settings that are the default are not stored
         old, new = ("the default" if usual and v is None else repr(v) for v in values)
-        how = " (`mbtl run --all` asks for no end before the budget)" if key == "stop_left" else ""
+        how = " (`mbtl run --all` asks for no end before the budget)" if "stop_" in key else ""
         raise StudyMismatch(
             f"a stored study ({name!r}) goes on only with the settings it was made with: {key} was "
             f"{old}, got {new}{how}; repeat the old setting, or begin anew with --new (or "

@@ -370,7 +370,8 @@ class StudyState:
     def _extended(self, event: Event) -> None:
         data, spec = event.data, self.spec
         left = None if data.get("to_the_end") else spec.stop_left
-        own = {name: data.get(name, getattr(spec, name)) for name in ("steps", "cost_budget")}
+        others = ("steps", "cost_budget", "stop_value")
+        own = {name: data.get(name, getattr(spec, name)) for name in others}
         self.spec = replace(spec, budget=data["budget"], stop_left=left, **own)
         self.stopped = None
 
