@@ -1,6 +1,7 @@
 """Comparisons: closed answers of the linear-gap world, and what a selector is shown."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -205,6 +206,7 @@ def test_selectors_for_one_axis_are_left_out_by_default_and_refused_by_name():
         ([], {}, InvalidInput, "one or more selectors"),
         ("random", {}, InvalidInput, "list of names"),
         (["random", "random"], {}, InvalidInput, "twice"),
+        ([SimpleNamespace(name="random", propose=print)], {}, InvalidInput, "name of a reference"),
         (["auto"], {}, InvalidInput, "asks for trainings of every kind; replay it"),
         (["random"], {"budget": 0}, InvalidInput, "budget"),
         (["random"], {"budget": 101}, InvalidInput, "'synthetic:linear-gap'.*budget"),

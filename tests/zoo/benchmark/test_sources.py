@@ -30,6 +30,19 @@ def test_rows_are_found_by_context(matrix):
     np.testing.assert_array_equal(matrix.fresh_rows(0, [5]), matrix.fresh_returns[0, [2]])
     with pytest.raises(InvalidInput, match="no training on context 3"):
         matrix.rows(0, [2, 3])
+    whole = TransferMatrix.of(np.zeros((1, 8, 8)), bounds=(0, 1))
+    for each in matrix, whole:
+        for seed, sources, words in (
+            (-1, [2], f"seeds run from 0 to {each.n_seeds - 1}, got -1"),
+            (0.5, [2], "seed must be a whole number, got 0.5"),
+            (0, [-1], r"indices of contexts, from 0 to 7, got \[-1\]"),
+            (0, [2.0], "indices of contexts"),
+            (0, [8], "no training on context 8"),
+        ):
+            with pytest.raises(InvalidInput, match=words):
+                each.rows(seed, sources)
+        with pytest.raises(InvalidInput, match="seeds run from"):
+            each.performance(2)
 
 
 @pytest.mark.parametrize(("nominal", "source"), [(3.1, 2), (3.9, 5), (5.0, 5), (0.9, 0)])

@@ -20,6 +20,7 @@ from mbtl.history import History
 from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
 from mbtl.selectors.contract import LearnedSelector, Selector, traits_of
+from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
 from mbtl.strategies import get_strategy
 from mbtl.zoo.benchmark.base import RowSource, measured_curve
@@ -168,6 +169,11 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
         name = ORACLE if selector is None else selector.name
         if name in entrants:
             raise InvalidInput(f"selectors must have distinct names, got {name!r} twice")
+        if name in (RANDOM, ORACLE) and not isinstance(given, (str, Random)):
+            raise InvalidInput(
+                f"{name!r} is the name of a reference, got {type(given).__name__} called so; give "
+                "your selector another name"
+            )
         entrants[name] = selector
     if not entrants:
         raise InvalidInput("a comparison needs one or more selectors, got none")

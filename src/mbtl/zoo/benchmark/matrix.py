@@ -28,7 +28,7 @@ from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds, Direction, direction_named
-from mbtl.plain import LARGEST, array_of, refused, short
+from mbtl.plain import LARGEST, array_of, refused, short, whole
 from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
 from mbtl.zoo.benchmark.base import Levels, levels
@@ -344,6 +344,8 @@ class TransferMatrix:
     sources: Indices | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InvalidInput(f"the name of a matrix is a text, got {short(self.name)}")
         returns = checked_returns(self.returns, square=self.sources is None)
         object.__setattr__(self, "returns", unwritable(returns))
         object.__setattr__(self, "sources", checked_sources(self.sources, returns))
@@ -584,20 +586,30 @@ class TransferMatrix:
 
     def rows(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) performance of the policies trained on `sources` (m,), as a selector sees it."""
-        return self.bounds.normalise(self.returns[seed, self._places(sources)])
+        return self.bounds.normalise(self._of(seed, self.returns)[self._places(sources)])
 
     def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) performance of the same policies on the other episodes, if there are any."""
         reported = self.returns if self.fresh_returns is None else self.fresh_returns
-        return self.bounds.normalise(reported[seed, self._places(sources)])
+        return self.bounds.normalise(self._of(seed, reported)[self._places(sources)])
+
+    def _of(self, seed: int, returns: Floats) -> Floats:
+        """(M, N) returns of one seed."""
+        if not 0 <= whole("seed", seed) < self.n_seeds:
+            raise InvalidInput(f"seeds run from 0 to {self.n_seeds - 1}, got {seed}")
+        return returns[seed]
 
     def _places(self, sources: ArrayLike) -> Indices:
         """Rows of some sources."""
-        wanted = np.asarray(sources, dtype=np.intp)
-        if self.sources is None:
-            return wanted
-        places = np.searchsorted(self.sources, wanted).clip(max=len(self.sources) - 1)
-        missing = wanted[self.sources[places] != wanted]
+        wanted = np.asarray(sources)
+        if wanted.size and (wanted.dtype.kind not in "iu" or not wanted.min() >= 0):
+            raise InvalidInput(
+                f"sources are indices of contexts, from 0 to {self.n - 1}, got {short(sources)}"
+            )
+        if self.sources is None and (not wanted.size or wanted.max() < self.n):
+            return wanted.astype(np.intp)
+        places = np.searchsorted(self.trained, wanted).clip(max=len(self.trained) - 1)
+        missing = wanted[self.trained[places] != wanted]
         if missing.size:
             raise InvalidInput(
                 f"{self.name} has no training on context {missing.flat[0]}; those it has are in "
@@ -675,7 +687,7 @@ class TransferMatrix:
 
     def performance(self, seed: int) -> Array:
         """(M, N) performance of one seed as a selector sees it, axis order (source, target)."""
-        return self.bounds.normalise(self.returns[seed])
+        return self.bounds.normalise(self._of(seed, self.returns))
 
     @property
     def independent(self) -> Array:
