@@ -84,8 +84,8 @@ def held_number(state: StudyState, pick: Pick | int) -> int:
         number = whole("the number of a pick", pick)
         if number not in state.open_picks:
             raise StudyError(
-                f"pick {number + 1} (number {number}) is not open: it was answered before, or "
-                "never asked"
+                f"pick {number + 1} is not open: number {number} was answered before, or never "
+                "asked"
             )
         return number
     number = open_number(state, pick)
