@@ -409,6 +409,8 @@ class ContextSpace:
             InvalidInput: values are not strictly increasing.
             ContextMismatch: a value lies outside its axis.
         """
+        if not isinstance(axes, Mapping):
+            raise InvalidInput(f"grid takes axes as {{Linear('x', 0, 1): 5}}, got {short(axes)}")
         levels = [grid_values(axis, given) for axis, given in axes.items()]
         shape = tuple(len(values) for values in levels)
         if (n := math.prod(shape)) > MOST:
@@ -431,6 +433,8 @@ class ContextSpace:
             ContextMismatch: a context lacks an axis, names an unknown one, or lies outside.
             InvalidInput: two contexts are equal, or there is none.
         """
+        if not (isinstance(axes, Sequence) and all(isinstance(axis, Axis) for axis in axes)):
+            raise InvalidInput(f"points takes axes as [Linear('x', 0, 1)], got {short(axes)}")
         if not contexts:
             raise InvalidInput("a context space needs one or more contexts, got none")
         for context in contexts:

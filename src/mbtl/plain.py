@@ -1,4 +1,4 @@
-"""Numbers as they were given: made plain, or refused with the rule that they break."""
+"""Settings as they were given: made plain, or refused with the rule that they break."""
 
 from __future__ import annotations
 
@@ -114,6 +114,22 @@ def array_of(name: str, given: Any) -> NDArray[Any]:
         raise InvalidInput(
             f"{name} must be an array of rows of one length ({error!s:.90})"
         ) from error
+
+
+def record(name: str, given: Any, usual: Any, *kinds: type) -> Any:
+    """A record of its kind, or a number where that is a budget; `usual` for None.
+
+    Raises:
+        InvalidInput: it is something else.
+    """
+    if given is None:
+        return usual
+    if isinstance(given, kinds) or (name == "budget" and not hasattr(given, "__dict__")):
+        return given
+    raise InvalidInput(
+        f"{name} must be a mbtl.{' or '.join(kind.__name__ for kind in kinds)}(...), got "
+        f"{type(given).__name__} {short(given)}"
+    )
 
 
 def short(value: Any) -> str:

@@ -132,6 +132,8 @@ def test_contexts_between_are_served_and_compared_with_what_was_expected(toy):
     assert 0.0 < given.margin < 0.02
     with pytest.raises(mbtl.InvalidInput, match="one context or more"):
         known.evaluate(toy, contexts=[])
+    with pytest.raises(mbtl.InvalidInput, match=r"got one, {'x': 3.3}; write \[context\]"):
+        known.evaluate(toy, contexts={"x": 3.3})
     with pytest.raises(mbtl.MbtlError, match=r"\[0, 10\]"):
         known.evaluate(toy, contexts=[{"x": 11.0}])
 

@@ -71,6 +71,8 @@ def test_an_environment_and_an_algorithm_are_a_problem():
     assert (longer.timesteps, longer.hyperparameters) == (900, {"gamma": 0.9})
     with pytest.raises(UnknownName, match="Did you mean 'n_envs'"):
         CMDP.from_env("m", SPACE, make_env=pendulum, timesteps=9, trainer_options={"n_env": 2})
+    with pytest.raises(UnknownName, match=r"CMDP\.from_env is called 'algoritm'.*mean 'algorithm'"):
+        CMDP.from_env("m", SPACE, make_env=pendulum, timesteps=9, algoritm="SAC")
 
 
 def test_a_user_s_own_presets():
@@ -87,6 +89,11 @@ def test_a_user_s_own_presets():
         ({"bounds": (1.0, 0.0)}, InvalidInput, "low < high"),
         ({"bounds": (0.0, float("inf"))}, InvalidInput, "finite"),
         ({"bounds": (0.0, 1.0, 2.0)}, InvalidInput, "two returns"),
+        ({"bounds": 5}, InvalidInput, "two returns"),
+        ({"baselines": [0.5]}, InvalidInput, r"baselines are a mapping by name, got \[0.5\]"),
+        ({"bound": (0.0, 1.0)}, UnknownName, "from_functions is called 'bound'.*mean 'bounds'"),
+        ({"budgt": 3}, UnknownName, "mean 'budget'"),
+        ({"trainer": None}, UnknownName, "'trainer'"),
         ({"direction": "up"}, InvalidInput, "direction"),
         ({"theta": -1.0}, InvalidInput, "theta"),
         ({"version": -1}, InvalidInput, "version"),
@@ -110,3 +117,5 @@ def test_an_id_fit_for_no_file_name_and_contexts_that_are_no_space_are_refused()
             CMDP(id, SPACE, FunctionTrainer(train, evaluate))
     with pytest.raises(InvalidInput, match="must be a ContextSpace, got list"):
         CMDP("mine", [1, 2], FunctionTrainer(train, evaluate))
+    with pytest.raises(InvalidInput, match="must be a ContextSpace, got list"):
+        CMDP.from_functions("mine", [1, 2], train=train, evaluate=evaluate)

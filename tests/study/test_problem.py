@@ -72,6 +72,27 @@ def test_what_is_given_counts_more_than_the_problem():
 
 
 @pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"workers": 2}, r"workers must be a mbtl\.Workers\(\.\.\.\), got int 2"),
+        ({"failures": 2}, r"failures must be a mbtl\.Failures\(\.\.\.\), got int 2"),
+        ({"report": "some"}, "report is True, False or 'all', got 'some'"),
+        ({"trainer": 5}, "made by a trainer, got 5"),
+    ],
+)
+def test_a_run_refuses_what_is_of_another_kind(given, words):
+    with pytest.raises(InvalidInput, match=words):
+        problem().study().run(progress=False, **given)
+
+
+def test_a_problem_may_stand_for_its_trainer():
+    study = mbtl.create_study(SPACE, budget=1)
+    study.equip(problem())
+    assert study.state.equipment["recipe"] == {"steps": 10}
+    assert len(study.run(trainer=problem(), progress=False, report=False).trainings) == 1
+
+
+@pytest.mark.parametrize(
     ("other", "words"),
     [
         (problem(version=4), "version was 3, got 4"),

@@ -23,7 +23,7 @@ from mbtl.episodes import Episodes, checked_returns, completed
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, check_known
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds
-from mbtl.plain import LARGEST, floats
+from mbtl.plain import LARGEST, floats, short
 from mbtl.portfolio.adaptive import Adaptive, deviations
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.mlp import MLPPolicy
@@ -329,6 +329,8 @@ class Portfolio:
             InvalidInput: there is no context.
             TrainingFailed: no episode of any counts.
         """
+        if isinstance(contexts, Mapping):
+            raise InvalidInput(f"contexts are a list, got one, {short(contexts)}; write [context]")
         drawn = contexts is None
         some = self.space.between(between, seed) if contexts is None else list(map(dict, contexts))
         if not some:

@@ -183,12 +183,12 @@ class CMDP:
             object.__setattr__(self, "metrics", dict.fromkeys(self.metrics, ""))
         if self.score is not None and self.score.direction == "minimize":
             object.__setattr__(self, "direction", "minimize")
-        self._check_numbers()
+        self._check_values()
         if self.nominal is not None:
             self.space.encode(self.nominal)
         self._check_unit()
         if not self.presets:
-            object.__setattr__(self, "presets", _only_preset(self.space))
+            object.__setattr__(self, "presets", _only(min(DEFAULT_BUDGET, self.space.n)))
         for name, preset in self.presets.items():
             if not hasattr(preset.budget, "__index__"):
                 raise InvalidInput(
@@ -236,11 +236,10 @@ class CMDP:
             **record: further fields of `CMDP`, e.g. `bounds`, `metrics`, `baselines` (each anything
                 that `evaluate` takes for a policy).
         """
-        counts = Score.of(score)
+        counts, record = Score.of(score), cls._checked(record, "from_functions", budget)
         key = None if counts is None else counts.key
         trainer = FunctionTrainer(train, evaluate, save, load, score=key)
-        presets = _only_preset(space, budget)
-        return cls(id, space, trainer, presets=presets, score=counts, **record)
+        return cls(id, space, trainer, score=counts, **record)
 
     @classmethod
     def from_env(
@@ -283,6 +282,7 @@ class CMDP:
         """
         from mbtl.trainers import SB3Trainer
 
+        record = cls._checked(record, "from_env", budget)
         if show_context:
             from mbtl.problems.shown import Showing
 
@@ -303,7 +303,6 @@ class CMDP:
             normalize_observations=normalize_observations,
             **(trainer_options or {}),
         )
-        record.setdefault("presets", _only_preset(space, budget))
         return cls(id, space, trainer, make_env=make_env, score=Score.of(score), **record)
 
     # ---- reading -----------------------------------------------------------------------------
@@ -448,6 +447,14 @@ class CMDP:
 
     # ---- inside ------------------------------------------------------------------------------
 
+    @classmethod
+    def _checked(cls, record: dict[str, Any], maker: str, budget: int | None) -> dict[str, Any]:
+        """Fields beyond id, space and trainer, with the recipe of a budget where one is given."""
+        known = {*getattr(cls, maker).__kwdefaults__, *(one.name for one in fields(cls)[3:])}
+        for name in record:
+            check_known(f"argument of CMDP.{maker}", name, known)
+        return record if budget is None else {"presets": _only(budget), **record}
+
     def _with_options(self, options: Mapping[str, Any]) -> Trainer:
         trainer: Any = self.trainer
         if isinstance(trainer, FunctionTrainer) or not is_dataclass(trainer):
@@ -461,11 +468,14 @@ class CMDP:
         changed: Any = replace(trainer, **options)  # type: ignore[type-var]
         return cast(Trainer, changed)
 
-    def _check_numbers(self) -> None:
+    def _check_values(self) -> None:
+        for name in ("baselines", "presets", "settings"):
+            if not isinstance(given := getattr(self, name), Mapping):
+                raise InvalidInput(f"{name} are a mapping by name, got {short(given)}; name each")
         object.__setattr__(self, "direction", direction_named(self.direction))
         if self.bounds is not None:
-            if len(self.bounds) != 2:
-                raise InvalidInput(f"bounds are two returns (low, high), got {self.bounds!r}")
+            if not hasattr(self.bounds, "__len__") or len(self.bounds) != 2:
+                raise InvalidInput(f"bounds are two returns (low, high), got {short(self.bounds)}")
             Bounds(*self.bounds, self.direction, self.floor)
         if self.theta is not None and not (math.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
@@ -485,6 +495,6 @@ class CMDP:
                 )
 
 
-def _only_preset(space: ContextSpace, budget: int | None = None) -> dict[str, Preset]:
+def _only(budget: int) -> dict[str, Preset]:
     """The recipe of a problem that names none: the trainer's own, so many trainings."""
-    return {"default": Preset(min(DEFAULT_BUDGET, space.n) if budget is None else budget)}
+    return {"default": Preset(budget)}

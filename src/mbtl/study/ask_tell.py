@@ -39,7 +39,7 @@ from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
 from mbtl.study.leases import Lease, Presence, Watch, new_worker
-from mbtl.study.problem import Beside
+from mbtl.study.problem import Beside, Problem, trainer_of
 from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
@@ -571,16 +571,17 @@ class AskTell:
         event = self._commit(lambda state: tell.reopening(state, pick))
         self.untold.pop(event.data["pick"], None)
 
-    def equip(self, trainer: Trainer, *, accept_changes: bool = False) -> None:
+    def equip(self, trainer: Trainer | Problem, *, accept_changes: bool = False) -> None:
         """Record what the policies of this study are made with, or check that it is the same.
 
         Args:
-            trainer: makes them.
+            trainer: makes them; or the problem that has it.
             accept_changes: a user's own functions may have changed since; the log says so then.
 
         Raises:
             StudyMismatch: policies were made with another recipe, format or code before.
         """
+        trainer = trainer_of(trainer)
         code, state = code_of(trainer), self.refresh()
         given, known = equipment_of(trainer), state.equipment or {}
         given |= {"code": code} if code or "code" in known else {}

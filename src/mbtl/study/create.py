@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
-from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
+from mbtl.plain import finite, float_of, floats, is_finite, real, record, short, whole
 from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
@@ -117,10 +117,10 @@ def create_study(
         facts,
         chosen,
         describe_selector(chosen, strategy),
-        _given("budget", budget, facts.budget, Steps, Cost),
-        _given("objective", objective, Objective(), Objective),
-        _given("evaluation", evaluation, Evaluation(), Evaluation),
-        _given("stopping", stopping, Stopping(), Stopping),
+        record("budget", budget, facts.budget, Steps, Cost),
+        record("objective", objective, Objective(), Objective),
+        record("evaluation", evaluation, Evaluation(), Evaluation),
+        record("stopping", stopping, Stopping(), Stopping),
         whole("seed", seed),
     )
     check_spec(spec)
@@ -169,18 +169,6 @@ def _usual_name(address: str | None) -> str:
     file = None if address is None else database_file(address)
     names = [] if file is None else names_in(file)
     return names[0] if len(names) == 1 else "study"
-
-
-def _given(name: str, given: Any, usual: Any, *kinds: type) -> Any:
-    """A record of its kind, or a number where that is a budget."""
-    if given is None:
-        return usual
-    if isinstance(given, kinds) or (name == "budget" and not hasattr(given, "__dict__")):
-        return given
-    raise InvalidInput(
-        f"{name} must be a mbtl.{' or '.join(kind.__name__ for kind in kinds)}(...), got "
-        f"{type(given).__name__} {short(given)}"
-    )
 
 
 def _spec(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, Direction
+from mbtl.plain import short
 from mbtl.settings import first_difference
 from mbtl.study.spec import StudySpec
 from mbtl.trainers.contract import Trainer
@@ -83,6 +84,18 @@ def facts_of(problem: ContextSpace | Problem) -> ProblemFacts:
         f"the problem must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one "
         "with ContextSpace.grid, ContextSpace.points, CMDP.from_functions or CMDP.from_env"
     )
+
+
+def trainer_of(given: Trainer | Problem) -> Trainer:
+    """A trainer; in its place a problem may be given, of which it is the recipe's.
+
+    Raises:
+        InvalidInput: it is neither.
+    """
+    found = given.facts().trainer if isinstance(given, Problem) else given
+    if not hasattr(found, "policy_format"):
+        raise InvalidInput(f"policies are made by a trainer, got {short(given)}; give the CMDP's")
+    return cast(Trainer, found)
 
 
 def check_problem(spec: StudySpec, facts: ProblemFacts) -> None:

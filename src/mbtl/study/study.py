@@ -32,7 +32,7 @@ from mbtl.errors import (
     check_known,
 )
 from mbtl.faults import FAULTS, reason_of, say
-from mbtl.plain import whole
+from mbtl.plain import record, short, whole
 from mbtl.portfolio import Portfolio
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.score import RANDOM_ACTIONS, SCORE
@@ -46,6 +46,7 @@ from mbtl.study.closing_report import FreshValue, ReportPlan, fresh_value, plan_
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.job import rehearse as rehearsed
+from mbtl.study.problem import trainer_of
 from mbtl.study.records import Failure, Pick, StudyFinished
 from mbtl.study.tell import answered, sources_of
 from mbtl.study.time_limits import at_most, too_long
@@ -190,11 +191,13 @@ class Study(AskTell):
             if train is None or evaluate is None:
                 raise InvalidInput("run needs train and evaluate functions, or a trainer")
             trainer = FunctionTrainer(train, evaluate)
+        if report not in (True, False, "all"):
+            raise InvalidInput(f"report is True, False or 'all', got {short(report)}; give one")
         return run(
             self,
-            trainer,
-            workers=workers or Workers(),
-            failures=failures or Failures(),
+            trainer_of(trainer),
+            workers=record("workers", workers, Workers(), Workers),
+            failures=record("failures", failures, Failures(), Failures),
             callbacks=(*_listed(callbacks), *([PrintProgress()] if progress else [])),
             report=report,
         )
@@ -221,7 +224,7 @@ class Study(AskTell):
             StudyError: one that was trained there, from scratch, was told before.
             StorageError: the policy cannot be saved.
         """
-        trainer = self.trainer if trainer is None else trainer
+        trainer = self.trainer if trainer is None else trainer_of(trainer)
         if trainer is None:
             raise InvalidInput("a policy is evaluated by a trainer, got none; give trainer=...")
         if isinstance(policy, Path) or (isinstance(policy, str) and policy.endswith(".zip")):
