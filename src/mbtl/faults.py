@@ -11,6 +11,7 @@ import importlib
 import re
 import sys
 import traceback
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TextIO
@@ -22,6 +23,7 @@ FAULTS = (Exception, SystemExit)
 
 REASON = 500
 """Characters of a reason that are kept."""
+_WHERE = "in the context "
 _TRACEBACK = 8000
 """Characters of a traceback that are kept: its end, which says what happened."""
 
@@ -69,7 +71,20 @@ def reason_of(error: BaseException) -> str:
     said = f"{type(error).__name__}: {error}"
     if isinstance(error, SystemExit):
         said = f"sys.exit({error.code!r}) was called, where it must return or raise"
-    return harmless(said, REASON)
+    noted = [note for note in getattr(error, "__notes__", ()) if note.startswith(_WHERE)]
+    where = f", {harmless(noted[0], REASON // 2)}" if noted else ""
+    return harmless(said, REASON - len(where)) + where
+
+
+@contextlib.contextmanager
+def located(context: Mapping[str, Any] | None) -> Iterator[None]:
+    """A fault in the block says in which context, if that is known: in a note for `reason_of`."""
+    try:
+        yield
+    except FAULTS as error:
+        if context:
+            error.add_note(f"{_WHERE}{dict(context)}")
+        raise
 
 
 def traceback_of(error: BaseException) -> str:

@@ -11,6 +11,7 @@ import gymnasium
 
 from mbtl.envs.everywhere import Everywhere
 from mbtl.errors import InvalidInput
+from mbtl.faults import REASON, reason_of
 
 CONTEXTS = [{"size": float(size)} for size in (1, 2, 4)]
 
@@ -53,6 +54,20 @@ def test_contexts_are_drawn_uniformly_and_a_seed_decides_all_that_follow():
     shares = Counter(once)
     assert set(shares) == {1.0, 2.0, 4.0}
     assert all(abs(count - 200) < 5 * np.sqrt(600 * 2 / 9) for count in shares.values())
+
+
+def test_a_fault_says_in_which_context():
+    class Breaks(Told):
+        def step(self, action):
+            raise RuntimeError("lost" * 200)
+
+    env = everywhere(Breaks)
+    size = env.reset(seed=3)[0][0]
+    with pytest.raises(RuntimeError) as crash:
+        env.step(0)
+    said = reason_of(crash.value)
+    assert said.endswith(f"..., in the context {{'size': {size}}}")
+    assert len(said) == REASON
 
 
 def test_an_environment_is_closed_when_the_next_context_comes():

@@ -8,9 +8,10 @@ from gymnasium.wrappers import TimeLimit
 from training_envs import Endless, Guess
 
 from mbtl.envs import rollout
-from mbtl.envs.references import Controller
+from mbtl.envs.references import Controller, played
 from mbtl.envs.rollout import ROWS, Actor, Job, play
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.faults import reason_of
 from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
 from mbtl.score import Score
 
@@ -145,7 +146,7 @@ def test_at_most_max_envs_are_alive_and_all_are_closed():
     assert len(alive) == 1
 
 
-def test_environments_are_closed_after_an_error():
+def test_environments_are_closed_after_an_error_that_names_the_context():
     made = []
 
     class Fails(Guess):
@@ -159,6 +160,12 @@ def test_environments_are_closed_after_an_error():
     with pytest.raises(RuntimeError, match="lost"):
         play(jobs(Fails, [2, 3], [0]), Actor(SignPolicy()), max_envs=5)
     assert [env.closed for env in made] == [True, True]
+
+    some, each = [{"length": 2}, {"length": 3}], [[0], [1]]
+    for make in (Fails, lambda context: 1 / 0):  # a step, and the factory itself
+        with pytest.raises((RuntimeError, ZeroDivisionError)) as crash:
+            played(make, Actor(SignPolicy()), some, each, score=None, max_envs=1)
+        assert reason_of(crash.value).endswith(", in the context {'length': 2}")
 
 
 def test_the_noise_of_actions_is_not_that_of_the_environment():

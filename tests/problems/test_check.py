@@ -211,6 +211,7 @@ def test_what_cannot_be_decided_is_a_warning(doubtful, name, detail):
         (SpaceFollowsContext, "same spaces in every context", "is -0.5 to 0.5 in place (0,)"),
         (ListOfActions, "runs at the nominal context", "make those of several agents one vector"),
         (RaisesAtCorner, "runs and stays finite at the corners", "singular matrix"),
+        (RaisesAtCorner, "runs and stays finite at the corners", "matrix, in the context {'"),
         (OldInterface, "runs at the nominal context", "must return (observation, reward, term"),
     ],
 )

@@ -6,6 +6,7 @@ from line_problem import line, train
 
 from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.faults import reason_of
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.trainers import FunctionTrainer
 
@@ -32,6 +33,13 @@ def test_contexts_with_other_numbers_of_episodes_are_refused():
     trainer = FunctionTrainer(train, lambda policy, contexts, seed: [[1.0] * seed])
     with pytest.raises(TrainingFailed, match="as many episodes as the others, got 2 to 3"):
         trainer.evaluate(0.5, SPACE.contexts[:2], [2, 3])
+
+
+def test_a_fault_where_contexts_are_evaluated_one_by_one_says_in_which():
+    trainer = FunctionTrainer(train, lambda policy, contexts, seed: [[1.0 / (seed - 8)]])
+    with pytest.raises(ZeroDivisionError) as fault:
+        trainer.evaluate(0.5, SPACE.contexts[:2], [7, 8])
+    assert reason_of(fault.value).endswith(f"zero, in the context {SPACE.context(1)}")
 
 
 class Heard(FunctionTrainer):

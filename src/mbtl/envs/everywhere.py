@@ -14,6 +14,7 @@ import numpy as np
 
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
+from mbtl.faults import located
 
 _SEEDS = 1 << 31
 
@@ -44,7 +45,7 @@ class _Drawing:
     def __init__(self, everywhere: Everywhere, first: Any) -> None:
         super().__init__(first)  # type: ignore[call-arg]  # of the interface
         self._make, self._contexts = everywhere.make_env, everywhere.contexts
-        self._shown = _spaces(first)
+        self._shown, self._context = _spaces(first), self._contexts[0]
         self._rng = np.random.default_rng()
 
     @cached_property
@@ -60,20 +61,27 @@ class _Drawing:
         """Start an episode in the next context; a seed decides this one and all that follow."""
         if seed is not None:
             self._rng = np.random.default_rng(seed)
-        context = self._contexts[int(self._rng.integers(len(self._contexts)))]
+        self._context = context = self._contexts[int(self._rng.integers(len(self._contexts)))]
         self.env.close()
-        self.env = self._make(context)
+        with located(context):
+            self.env = self._make(context)
         if (there := _spaces(self.env)) != self._shown:
             raise InvalidInput(
                 f"one policy for all contexts needs the same spaces in each, got {there} in "
                 f"{dict(context)} beside {self._shown}; show the policy as many numbers in every "
                 "context"
             )
-        return self.env.reset(seed=int(self._rng.integers(_SEEDS)), options=options)
+        with located(context):
+            return self.env.reset(seed=int(self._rng.integers(_SEEDS)), options=options)
+
+    def step(self, action: Any) -> Any:
+        """Of the running episode; a fault says in which context."""
+        with located(self._context):
+            return self.env.step(action)
 
 
 class _Single(_Drawing, gymnasium.Wrapper):  # type: ignore[misc]  # gymnasium is untyped for our checker
-    """All but `reset` is that of the environment."""
+    """All but `reset` and `step` is that of the environment."""
 
 
 class _Forwarding:

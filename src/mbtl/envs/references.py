@@ -79,7 +79,7 @@ def played(
         score = replace(score, foretold=None)
     actor, make = going(who, make_env, contexts[0]) if isinstance(who, str) else (who, make_env)
     pairs = zip(contexts, seeds, strict=True)
-    jobs = [Job(partial(make, one), own, score, names) for one, own in pairs]
+    jobs = [Job(partial(make, one), own, score, names, one) for one, own in pairs]
     found, lasted = play_counted(jobs, actor, max_envs=max_envs)
     told = {
         name: np.array([rows[:, k] for rows in found]) for k, name in enumerate((SCORE, *names))

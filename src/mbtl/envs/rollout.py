@@ -22,7 +22,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.faults import located
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 
@@ -53,12 +55,14 @@ class Job:
         seeds: one per episode, given to `reset`.
         score: what an episode is worth; None: the sum of its rewards.
         measures: keys of the last step's `info`, of numbers to note beside that.
+        context: of the environment, which its faults name; None: not known.
     """
 
     open_env: Callable[[], Any]
     seeds: Sequence[int]
     score: Score | None = None
     measures: Sequence[str] = ()
+    context: Context | None = None
 
 
 @dataclass(eq=False)
@@ -104,7 +108,8 @@ class _Place:
             for seed in self.job.seeds:
                 worth, steps = np.zeros(1 + len(self.job.measures)), 0
                 for share, given in strata or [(1.0, {})]:
-                    told, lasted = yield from self._episode(seed, given)
+                    with located(self.job.context):
+                        told, lasted = yield from self._episode(seed, given)
                     worth, steps = worth + share * told, steps + lasted
                 self.found.append(worth)
                 self.lasted.append(steps)
@@ -246,7 +251,8 @@ def play_counted(
         while waiting or places:
             while waiting and len(places) < max_envs:
                 job, worth, steps = waiting.popleft()
-                place = _Place(job, worth, steps, job.open_env(), keep_open)
+                with located(job.context):
+                    place = _Place(job, worth, steps, job.open_env(), keep_open)
                 if not keep_open and any(place.env is other.env for other in places):
                     raise one_instance()
                 if place.goes_on():

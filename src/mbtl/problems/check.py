@@ -20,7 +20,7 @@ from typing import Any, Literal
 from mbtl.contexts import Categorical, Context, ContextSpace, Value
 from mbtl.envs.recording import Rollout, difference, draw_actions, opened, roll, roll_together
 from mbtl.errors import CheckFailed, InvalidInput, MissingExtra, Notice
-from mbtl.faults import FAULTS, reason_of
+from mbtl.faults import FAULTS, located, reason_of
 from mbtl.problems.cmdp import CMDP
 from mbtl.score import Score
 from mbtl.seeds import action_seed
@@ -268,11 +268,12 @@ class Probe:
         yield Check(name, outcome, detail)
 
     def _roll(self, context: Context) -> Rollout:
-        with opened(partial(self._make, context)) as (env,):
+        with located(context), opened(partial(self._make, context)) as (env,):
             return roll(env, self._actions, self.seed)
 
     def _make(self, context: Context) -> Any:
-        env = self.make_env(dict(context))  # a copy: an environment may change its argument
+        with located(context):
+            env = self.make_env(dict(context))  # a copy: an environment may change its argument
         from mbtl.envs.slots import as_one  # needs Gymnasium, which is there by now
 
         return as_one(env)
@@ -303,7 +304,7 @@ class Probe:
         return "warning", apart + " in trainings" * found.silent
 
     def _first_rollout(self) -> tuple[Outcome, str]:
-        with opened(partial(self._make, self._base)) as (env,):
+        with located(self._base), opened(partial(self._make, self._base)) as (env,):
             actions = draw_actions(env.action_space, self.steps, self.seed)
             rollout = roll(env, actions, self.seed)
         self._actions, self._first = actions, rollout
@@ -364,7 +365,7 @@ class Probe:
 
     def _reset(self) -> tuple[Outcome, str]:
         make = partial(self._make, self._base)
-        with opened(make, make) as (env, other):
+        with located(self._base), opened(make, make) as (env, other):
             first = roll(env, self._actions, self.seed)
             if seen := difference(first, roll(env, self._actions, self.seed)):
                 return "failed", f"the same instance, reset with the same seed, differs: {seen}"
@@ -393,7 +394,7 @@ class Probe:
         return "passed", f"{one} and {two}, in turn and at once"
 
     def _episodes_end(self) -> tuple[Outcome, str]:
-        with opened(partial(self._make, self._base)) as (env,):
+        with located(self._base), opened(partial(self._make, self._base)) as (env,):
             limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
             steps = self.horizon or limit or max(self.steps, _ENDING)
             info = _last_info(env, steps, self.seed)

@@ -23,7 +23,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingPruned
-from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
+from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, located, reason_of, traceback_of
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore, scratch
 from mbtl.study.time_limits import at_most
 from mbtl.trainers.contract import (
@@ -350,7 +350,8 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
     """
     if job.untrained:
         assert isinstance(job.trainer, RehearsingTrainer)
-        return Kept(job.trainer.untrained(job.contexts[0]))
+        with located(job.contexts[0]):
+            return Kept(job.trainer.untrained(job.contexts[0]))
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
     state = None if job.start is None else job.start.state

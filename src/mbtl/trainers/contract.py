@@ -25,7 +25,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.episodes import checked_returns, completed
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
-from mbtl.faults import FAULTS, reason_of
+from mbtl.faults import FAULTS, located, reason_of
 from mbtl.plain import floats, is_finite, short
 from mbtl.score import SCORE
 from mbtl.settings import described, described_code
@@ -454,7 +454,8 @@ class FunctionTrainer(Trainer):
 
         def returns(some: Sequence[Context], luck: Any) -> dict[str, Any]:
             by_place, by_name = _with_luck(takes, luck)
-            return self._named(self.evaluate_fn(policy, some, *by_place, **by_name))
+            with located(some[0] if len(some) == 1 else None):
+                return self._named(self.evaluate_fn(policy, some, *by_place, **by_name))
 
         if takes is None or takes.name != "seed":
             found = returns(contexts, seeds)
