@@ -30,6 +30,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from mbtl.plain import short
+
 CODE = "source:"
 """Begins the digest of code."""
 _DEEP, _LARGE = 20, 64
@@ -90,7 +92,9 @@ def changed_code(known: Mapping[str, Any], given: Mapping[str, Any]) -> list[str
         role, *names = [part for part in path.split(".") if part != "code"]
         said = f"`{'.'.join(names)}`, which `{role}` uses" if names else f"`{role}`"
         values = [one for one in (was, now) if one is not None and not str(one).startswith(CODE)]
-        found.append(f"{said} (was {was!r}, is {now!r})" if names and len(values) > 1 else said)
+        found.append(
+            f"{said} (was {short(was)}, is {short(now)})" if names and len(values) > 1 else said
+        )
     return found
 
 

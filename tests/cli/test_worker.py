@@ -87,7 +87,7 @@ def test_a_master_with_other_code_says_so_and_does_not_wait(place):
     process = begun((*run, "--strategy", "mbtl", "--all"), stdout=subprocess.PIPE, text=True)
     said = process.communicate(timeout=60)[0]
     assert process.returncode == 2
-    assert "since they were made `train` changed" in said
+    assert "since it was last recorded `train` changed" in said
 
 
 @pytest.mark.parametrize(

@@ -245,6 +245,8 @@ def test_an_edited_evaluate_is_named_and_goes_on_where_that_is_accepted(
     made = [row.recipe for row in study.state.rows]
     assert made[0] == made[1] == made[2] != made[3] == recipe_digest(study.state.equipment)
     run(tmp_path, own, 5)  # what was accepted once is the code of the study
+    with pytest.raises(StudyMismatch, match=r"since it was last recorded .*recorded code back"):
+        run(tmp_path, edited(), 6)  # so the first one, under which most was made, is a change
 
 
 def test_before_anything_succeeded_code_may_be_mended_and_rows_of_ask_and_tell_have_none(

@@ -595,17 +595,17 @@ class AskTell:
             if found := first_difference({**known, **own}, {**given, **own}):
                 key, was, now = found
                 raise StudyMismatch(
-                    f"the policies of a study are made with one recipe: {key} was {was!r}, got "
-                    f"{now!r}; use the same trainer, or start another study (--new, or another "
-                    "name)"
+                    f"the policies of a study are made with one recipe: {key} was {short(was)}, "
+                    f"got {short(now)}; use the same trainer, or start another study (--new, or "
+                    "another name)"
                 )
             if self.has_succeeded and "code" in known:  # what only failed may be mended
                 changes = changed_code(known["code"], code)
             if changes and not accept_changes:
                 raise StudyMismatch(
-                    "the policies of a study are made and evaluated by one code, and since they "
-                    f"were made {few(changes)} changed; take the old code back, start another "
-                    "study (--new, or another name), or mix them knowingly, "
+                    "the policies of a study are made and evaluated by one code, and since it was "
+                    f"last recorded {few(changes)} changed; take the recorded code back, start "
+                    "another study (--new, or another name), or mix them knowingly, "
                     "study.equip(trainer, accept_changes=True) (--accept-changes)"
                 )
         facts = {**given, **({"accepted": changes} if changes else {})}
