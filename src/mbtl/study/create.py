@@ -337,13 +337,18 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
         if (getattr(given, size) or 0) >= ((before := getattr(stored, size)) or 0):
             now = replace(now, **{size: before})
     was, now_record = (
-        {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)
+        {
+            **spec.to_json(),
+            "selector": without_origin(spec.selector),
+            "costs": dict(enumerate(spec.costs or ())),  # names the one that differs
+        }
+        for spec in (stored, now)
     )
     difference = stored.space.difference(given.space) or first_difference(was, now_record)
     if difference:
         key, *values = difference
         usual = key.startswith("selector.")  # settings that are the default are not stored
-        old, new = ("the default" if usual and v is None else repr(v) for v in values)
+        old, new = ("the default" if usual and v is None else short(v) for v in values)
         how = " (`mbtl run --all` asks for no end before the budget)" if "stop_" in key else ""
         raise StudyMismatch(
             f"a stored study ({name!r}) goes on only with the settings it was made with: {key} was "

@@ -111,6 +111,6 @@ def check_problem(spec: StudySpec, facts: ProblemFacts) -> None:
     if difference is not None:
         name, was, now = difference
         raise StudyMismatch(
-            f"a study is opened with the problem it was made for: {name} was {was!r}, got {now!r}; "
-            "give that problem, or leave it out"
+            f"a study is opened with the problem it was made for: {name} was {short(was)}, got "
+            f"{short(now)}; give that problem, or leave it out"
         )
