@@ -135,6 +135,19 @@ def test_a_stored_study_refuses_other_settings(tmp_path):
         new(tmp_path)
 
 
+def test_a_stored_study_says_which_cost_differs_and_no_long_value_whole(tmp_path):
+    costs = np.arange(1.0, N + 1)
+    new(tmp_path, cost_budget=50.0, costs=costs, settings={"note": "n" * 400})
+    for note, there, words in (
+        ("n" * 400, 0.5, r"costs\.7 was 8\.0, got 0\.5"),
+        ("m", 8.0, r"settings\.note was 'n{56}\.\.\., got 'm'"),
+    ):
+        costs[7] = there
+        given = {"costs": costs, "settings": {"note": note}, "load_if_exists": True}
+        with pytest.raises(StudyMismatch, match=words):
+            new(tmp_path, cost_budget=50.0, **given)
+
+
 X = mbtl.Linear("x", 0.0, 1.0)
 
 
@@ -355,7 +368,8 @@ def test_portfolio_and_study_agree_on_rows_that_are_partial():
         ({"costs": [1.0] * 19 + [np.nan], "cost_budget": 9.0}, "got nan for x = 1"),
         ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
         ({"costs": [1e-200, 1e200] + [1.0] * 18, "cost_budget": 9.0}, "from 1e-30 to 1e\\+30"),
-        ({"eval_targets": 0}, "evaluated on 1 to 20 targets, got 0"),
+        ({"eval_targets": 900}, "evaluated on 2 to 20 targets, got 900"),
+        ({"eval_targets": 0}, "evaluated on 2 to 20 targets, got 0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused_and_leave_nothing_behind(

@@ -166,7 +166,8 @@ def check_spec(spec: StudySpec) -> None:
         raise InvalidInput("a study that counts steps must know those of a unit and of an episode")
     if spec.eval_targets is not None and not 1 <= spec.eval_targets <= spec.space.n:
         raise InvalidInput(
-            f"policies are evaluated on 1 to {spec.space.n} targets, got {spec.eval_targets}"
+            f"policies are evaluated on {min(2, spec.space.n)} to {spec.space.n} targets, got "
+            f"{spec.eval_targets}"
         )
 
 
