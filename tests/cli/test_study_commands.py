@@ -33,6 +33,12 @@ def test_list_shows_every_study_of_every_database(mbtl_command, place):
     assert "runs/a --name 'the second'" in out
     assert "runs/b --name" not in out
     assert len(mbtl_command.document("study", "list", place / "a/study.db")) == 2
+    (place / "b" / "study.db").rename(place / "b" / "mine.db")
+    (place / "thumbs.db").write_text("of another program")
+    sqlite3.connect(place / "b" / "other.db").execute("CREATE TABLE other (a)").connection.close()
+    code, out, err = mbtl_command("study", "list", "--json")
+    assert [row["study"] for row in json.loads(out)] == ["runs/a", "runs/a", "runs/b/mine.db"]
+    assert (code, err) == (0, "")
 
 
 def test_list_takes_the_address_of_a_database(mbtl_command, place):

@@ -28,6 +28,7 @@ from mbtl.study.artifacts import policy_store
 from mbtl.study.checks import replay
 from mbtl.study.database import shown
 from mbtl.study.listing import chosen_name, database_at, entry_of
+from mbtl.study.storage import names_in
 
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
@@ -164,7 +165,10 @@ def _databases(place: str) -> list[str | Path]:
         study_names(place)  # none there is no empty list
         return [place]
     folder = Path(place)
-    return [folder] if folder.is_file() else sorted(folder.glob("**/study.db"))
+    if folder.is_file():
+        return [folder]
+    files = sorted(folder.glob("**/*.db"))  # other programs have such, too
+    return [file for file in files if file.name == "study.db" or names_in(file)]
 
 
 def _shown_at(database: str | Path) -> str:
