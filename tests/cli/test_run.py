@@ -105,6 +105,9 @@ def test_other_settings_are_refused_with_the_way_out_and_another_seed_is_another
 ):
     said = mbtl_command.refusal("run", ran, "--budget", "3")
     assert re.search("budget was 4, got 3.*--new", said)
+    for wrong in ("--budget", "0"), ("--eval-targets", "99"), ("--strategy", "autoo"):
+        mbtl_command.refusal("run", ran, *wrong, "--new")  # before the study is set aside
+    assert not (tmp_path / f"{FOLDER}.1").exists()
     mbtl_command.done("run", ran, "--budget", "1", "--new")
     assert (tmp_path / f"{FOLDER}.1" / "study.db").exists()
     mbtl_command.done("run", ran, "--seed=1", "--strategy=greedy", "--budget=1")

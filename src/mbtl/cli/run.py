@@ -27,7 +27,6 @@ from mbtl.portfolio.archive import MANIFEST
 from mbtl.problems import resolve_cmdp
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
-from mbtl.strategies import get_strategy
 from mbtl.study import Evaluation, Failures, Steps, Stopping, Study, Workers, ask, create_study
 from mbtl.study.study import run as run_study
 from mbtl.trainers.contract import Trainer
@@ -112,7 +111,6 @@ def run(
     pay = budget if steps is None else Steps(steps_of(steps))
     switches = {"engine": engine, "score": score}
     cmdp = resolve_cmdp(problem, **switches)
-    get_strategy(strategy)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
@@ -131,12 +129,9 @@ def run(
     if workers is not None:
         check_master(workers, new=new, parallel=parallel)
         artifacts = artifacts_for(workers, artifacts, folder)
-    if new:
-        set_aside(folder)
-    if workers is None:
-        check_folder(folder)
     own = workers is None or Path(workers).resolve() == (folder / DATABASE).resolve()
-    running = create_study(
+    make = partial(
+        create_study,
         cmdp,
         budget=pay,
         strategy=strategy,
@@ -146,8 +141,15 @@ def run(
             stop_value, left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT
         ),
         seed=seed,
-        storage=folder / DATABASE if workers is None else workers,
         artifacts=artifacts,
+    )
+    if new:
+        make()  # what is refused must not set a study aside
+        set_aside(folder)
+    if workers is None:
+        check_folder(folder)
+    running = make(
+        storage=folder / DATABASE if workers is None else workers,
         name=study_in(folder) if own else folder.resolve().name,
         load_if_exists=True,
     )
