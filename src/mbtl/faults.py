@@ -83,7 +83,7 @@ def located(context: Mapping[str, Any] | None) -> Iterator[None]:
         yield
     except FAULTS as error:
         if context:
-            error.add_note(f"{_WHERE}{dict(context)}")
+            error.add_note(f"{_WHERE}{context}")
         raise
 
 
