@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbtl.arrays import Array, Indices
+from mbtl.arrays import Array, Indices, Mask
 from mbtl.contexts import ContextSpace
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.history import USUAL
@@ -193,6 +193,11 @@ class Routing:
     def served(self) -> Array:
         """(N,) performance that is believed of the policies that serve now."""
         return np.asarray(self.believed[self.route, np.arange(self.space.n)])
+
+    @property
+    def measured(self) -> Mask:
+        """(N,) whether the policy that serves now was evaluated right there."""
+        return np.asarray(self.beliefs.measured[self.route, np.arange(self.space.n)])
 
     @cached_property
     def value(self) -> Valuation:

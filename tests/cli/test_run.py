@@ -71,7 +71,7 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, ran):
         "fresh episodes",
         "the others add",
         "per context, which chose nothing",
-        "The worst-served tenth of the contexts is at",
+        "Of the contexts, the tenth that seemed worst before the fresh episodes is at",
     ):
         assert words in out.replace("\n", " ")
     assert "not drawn" not in out  # nothing is said of what there is none of

@@ -1,4 +1,5 @@
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines, show_summary
 from mbtl.selectors import Proposal, Traits
 from mbtl.study.closing_report import plan_of
+from mbtl.study.problem import Beside
 from mbtl.study.study import PrintProgress
 
 N = 20
@@ -67,7 +69,38 @@ def test_what_is_served_worst_is_chosen_by_other_episodes_than_those_that_say_ho
     assert summary.worst_tenth == pytest.approx((0.72 + 0.74) / 2)
     assert summary.served[5] == 0.1
     said = " ".join(lines(summary, SPACE))
-    assert "; the worst context, x = 0 m, at 0.7200 (which these are, the episodes say" in said
+    assert (
+        "Of the contexts, the tenth that seemed worst before the fresh episodes is at 0.7300; "
+        "x = 0 m, which seemed worst of all, is at 0.7200."
+    ) in said
+
+
+def test_worst_contexts_and_metrics_are_of_contexts_that_were_played():
+    """The metric is the score, and V is of all contexts: one line says of which each number is."""
+    study = study_of(2)
+    study.beside = Beside(metrics={"same": "m"})
+    served = study.routing.served[:, None].copy()
+    served[:4] = np.nan  # those believed to be worst, and two more
+    study.record_fresh_returns(served, served, best_single=0, metrics=served.T[None], lost=range(4))
+    summary, played = summarise_study(study), np.sort(served[4:, 0])
+    assert summary.worst_context == 4
+    assert summary.worst_tenth == pytest.approx((played[0] + 0.6 * played[1]) / 1.6)
+    said = lines(summary, SPACE)
+    assert any("Of the contexts played, the tenth that seemed worst" in line for line in said)
+    mean = f"mean return {summary.fresh_value:.4g}, mean of the 16 contexts played: same"
+    assert f"policies: V {summary.fresh_value:.4f}, {mean} {played.mean():.4g} m" in said
+    worst = re.search(r"<h2>Served worst</h2>.*?</section>", page([of_study(study)]), re.DOTALL)[0]
+    assert "x = 0 m" not in worst
+    assert "<td>–</td>" not in worst
+
+
+def test_a_context_where_no_policy_that_serves_was_evaluated_is_not_named_as_the_worst():
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), eval_targets=5, strategy="mbtl")
+    pick = study.ask()
+    study.tell(pick, row(pick.source)[list(pick.targets)])
+    summary = summarise_study(study)
+    assert summary.worst_context in pick.targets
+    assert "The worst-served tenth of the contexts played is" in " ".join(lines(summary, SPACE))
 
 
 def test_contexts_without_weight_are_not_the_worst():

@@ -179,6 +179,7 @@ def _badly_served(subject: Subject) -> str:
     if routing is None or space.n <= _WORST:
         return ""
     served, score = subject.shown, [*subject.columns.items()][:1]
+    played = np.isfinite(score[0][1]) if score else routing.measured
     rows = [
         [
             space.describe(space.context(int(i))),
@@ -187,12 +188,12 @@ def _badly_served(subject: Subject) -> str:
             _number(float(served[i])),
             *("–" if values[i] != values[i] else f"{values[i]:.4g}" for _, values in score),
         ]
-        for i in worst_first(routing)[:_WORST]
+        for i in worst_first(routing, space.weights * played)[:_WORST]
     ]
     table = _table(["context", "served by", "performance", *(head for head, _ in score)], rows)
     note = ""
     if subject.fresh is not None:
-        note = "<p>As the episodes said that chose policies; performance is of fresh ones.</p>"
+        note = "<p>They seemed worst before the fresh episodes, which performance is of.</p>"
     return f"<section><h2>Served worst</h2>{note}{table}</section>"
 
 

@@ -61,9 +61,10 @@ class StudySummary:
         fresh_contexts: how many contexts were played, drawn by chance; None likewise.
         fresh_lost: how many more were to be played, and gave no episode that counts; None likewise.
         risk: share of the contexts, the worst of them, that V is the mean of.
-        worst_tenth: mean performance of the tenth of the contexts, by weight, that are believed to
-            be served worst; on fresh episodes, which did not choose them, where there are any.
-        worst_context: the one believed to be served worst of all.
+        worst_tenth: mean performance of the tenth of the contexts that were played, by weight, that
+            are believed to be served worst; on fresh episodes, which did not choose them, where
+            there are any.
+        worst_context: the one of them believed to be served worst of all.
         worst_context_value: the performance there, by the same episodes.
         best_single: place of the best single policy among those told.
         best_single_value: its own V.
@@ -227,7 +228,7 @@ def summarise_study(study: Study) -> StudySummary:
         "baselines": () if fresh is None else fresh.baselines,
         "behind": _behind(state.fresh, state.bounds()),
         "score": _score_of(study),
-        "metrics": _metrics(state.fresh, weights),
+        "metrics": _metrics(state.fresh, weights if fresh is None else fresh.share),
         "metric_units": {} if state.fresh is None else dict(state.fresh.units),
     }
     if not len(history):
@@ -236,14 +237,15 @@ def summarise_study(study: Study) -> StudySummary:
     now = routing.value
     if fresh is None:
         best_single, served, v = routing.best_single, routing.served, now.value
-        over = routing.gain
+        over, share = routing.gain, weights * routing.measured
         gain, gain_margin = over.value, over.margin if known or over.error else None
     else:
         best_single, served, v = fresh.best_single, fresh.served, fresh.value
-        gain, gain_margin = fresh.gain, fresh.gain_margin
+        gain, gain_margin, share = fresh.gain, fresh.gain_margin, fresh.share
     others = routing.believed.max(axis=0) - routing.believed[best_single]
-    worst = int(worst_first(routing)[0])
-    tenth = worst_share_weights(routing.served, weights, TENTH)
+    share = share if share.any() else weights
+    worst = int(worst_first(routing, share)[0])
+    tenth = worst_share_weights(routing.served, share / share.sum(), TENTH)
     evaluated = [int(np.isfinite(row).sum()) for row in history.rows]
     counts = [row.episodes for row in state.rows]
     return StudySummary(
@@ -274,10 +276,10 @@ def summarise_study(study: Study) -> StudySummary:
     )
 
 
-def worst_first(routing: Routing) -> Indices:
-    """Contexts that count, those believed to be served worst first: fresh luck chooses nothing."""
+def worst_first(routing: Routing, share: Array) -> Indices:
+    """Contexts with a share, first those believed to be served worst: fresh luck chooses none."""
     order = np.argsort(routing.served, kind="stable")
-    return np.asarray(order[routing.space.weights[order] > 0.0])
+    return np.asarray(order[share[order] > 0.0])
 
 
 def _score_of(study: Study) -> tuple[str, str]:
@@ -304,15 +306,15 @@ def _behind(fresh: FreshReturns | None, bounds: Bounds) -> tuple[tuple[int, str]
     return tuple((i, names[int(np.nanargmax(rows[:, i]))]) for i in behind)
 
 
-def _metrics(fresh: FreshReturns | None, weights: Array) -> dict[str, dict[str, float]]:
-    """Means over the contexts that were played and told a measure, by their weights."""
+def _metrics(fresh: FreshReturns | None, share: Array) -> dict[str, dict[str, float]]:
+    """Means over the contexts that were played and told a measure, by what each stands for."""
     found: dict[str, dict[str, float]] = {}
     for who, measures in ({} if fresh is None else fresh.metrics).items():
         for name, means in measures.items():
             there = np.isfinite(means)
-            if weights[there].sum() > 0.0:
+            if share[there].sum() > 0.0:
                 own = found.setdefault(who, {})
-                own[name] = float(np.average(means[there], weights=weights[there]))
+                own[name] = float(np.average(means[there], weights=share[there]))
     return found
 
 

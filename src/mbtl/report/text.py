@@ -74,15 +74,19 @@ def conclusions(summary: StudySummary, space: ContextSpace) -> list[str]:
     if summary.worst_tenth is not None:
         assert summary.worst_context is not None
         where = space.describe(space.context(summary.worst_context))
-        worst = f"{where}, at {summary.worst_context_value:.4f}"
-        if summary.risk == 1.0:
-            tenth = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
-            by = ""
-            if summary.fresh_value is not None:  # by luck some others may be below
-                by = " (which these are, the episodes say that chose policies)"
-            out.append(f"{tenth}; the worst context, {worst}{by}.")
-        else:  # V is of the worst ones, whichever they are
-            out.append(f"Served worst, as far as is known: {worst}.")
+        tenth, worst = f"{summary.worst_tenth:.4f}", f"{summary.worst_context_value:.4f}"
+        if summary.risk < 1.0:  # V is of the worst ones, whichever they are
+            out.append(f"Served worst, as far as is known: {where}, at {worst}.")
+        elif summary.fresh_value is not None:  # by luck some others may be below
+            out.append(
+                f"Of the contexts{_played(summary)}, the tenth that seemed worst before the fresh "
+                f"episodes is at {tenth}; {where}, which seemed worst of all, is at {worst}."
+            )
+        else:
+            out.append(
+                f"The worst-served tenth of the contexts{_played(summary)} is at {tenth}; the "
+                f"worst context, {where}, at {worst}."
+            )
     if summary.behind:
         place, who = summary.behind[0]
         out.append(
@@ -124,12 +128,15 @@ def beside(summary: StudySummary) -> list[str]:
         return []
     said = []
     for who, v in _values(summary).items():
+        told = [f"V {v:.4f}", summary.returned(v)]
         rest = [
             f"{name} {mean:.4g} {summary.metric_units[name]}".rstrip()
             for name, mean in summary.metrics.get(who, {}).items()
         ]
+        if rest and _played(summary):  # V and the score are of all contexts
+            rest[0] = f"mean of the {summary.fresh_contexts} contexts played: {rest[0]}"
         name = REFERENCE_NAMES.get(who, who)
-        said.append(f"{name}: " + ", ".join([f"V {v:.4f}", summary.returned(v), *rest]))
+        said.append(f"{name}: " + ", ".join([*told, *rest]))
     return said
 
 
@@ -139,13 +146,22 @@ def beside_table(summary: StudySummary) -> list[list[str]]:
         return []
     names = list(dict.fromkeys(name for told in summary.metrics.values() for name in told))
     heads = [summary.score, *((name, summary.metric_units[name]) for name in names)]
-    rows = [["", "V", *(f"{name} [{unit}]" if unit else name for name, unit in heads)]]
+    first, *others = (f"{name} [{unit}]" if unit else name for name, unit in heads)
+    where = f", {summary.fresh_contexts} contexts" * bool(_played(summary))
+    rows = [["", "V", first, *(head + where for head in others)]]
     for who, v in _values(summary).items():
         own = summary.metrics.get(who, {})
         told = [f"{own[name]:.4g}" if name in own else "–" for name in names]
         score = f"{summary.score_of(v):.4g}"
         rows.append([REFERENCE_NAMES.get(who, who), f"{v:.4f}", score, *told])
     return rows
+
+
+def _played(summary: StudySummary) -> str:
+    """What is to be said of contexts where not all of them were."""
+    if summary.fresh_value is not None:
+        return " played" * (summary.fresh_contexts != summary.n_contexts)
+    return " played" * ((summary.measured or 0.0) < 1.0 - 1e-9)
 
 
 def _values(summary: StudySummary) -> dict[str, float]:

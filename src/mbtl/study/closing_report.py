@@ -41,6 +41,7 @@ class FreshValue:
         best_single: place of the best single policy, by the rows that routed.
         gain: V less its own V, on the same episodes.
         gain_margin: half the 95 % interval of that; None likewise.
+        share: (N,) weight that each context stands for that was played; 0 where none was.
         baselines: what V is compared with.
     """
 
@@ -52,6 +53,7 @@ class FreshValue:
     best_single: int
     gain: float
     gain_margin: float | None
+    share: Array
     baselines: tuple[Baseline, ...] = ()
 
 
@@ -203,8 +205,9 @@ def fresh_value(state: StudyState) -> FreshValue | None:
         unknown = np.hypot(unplayed, share[lost].sum() * known.std())
         ahead, bar = estimated(usual, difference, weights, drawn, float(unknown))
         others.append(Baseline(name, value - ahead, ahead, bar))
+    seen, episodes = np.where(there, share, 0.0), served.shape[1]
     return FreshValue(
-        value, margin, served.shape[1], count, each, best, gain, gain_margin, tuple(others)
+        value, margin, episodes, count, each, best, gain, gain_margin, seen, tuple(others)
     )
 
 
