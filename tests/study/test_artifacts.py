@@ -15,6 +15,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, database
 from mbtl.study.artifacts import Artifact, FolderStore, RemoteStore, policy_store
+from mbtl.study.job import Job, perform_elsewhere
 from mbtl.study.study import Callback
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
@@ -285,6 +286,43 @@ def test_a_policy_that_cannot_be_saved_waits_for_the_next_run(tmp_path, monkeypa
     assert len(TRAINED) == len(again.state.rows) == 1
     assert again.portfolio(trainer).policy(0) == TRAINED[0]
     assert list(place.rglob("x.txt")) == []
+
+
+def test_where_no_disk_has_room_the_policy_is_said_to_be_in_memory_alone(tmp_path, monkeypatch):
+    TRAINED.clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    room = []
+
+    def full(policy, folder):
+        if not room:
+            raise OSError(28, "No space left on device")
+        save(policy, folder)
+
+    study, trainer = (
+        study_at(tmp_path, tmp_path / "kept", budget=1),
+        replace(COUNTING, save_fn=full),
+    )
+    with pytest.raises(StorageError, match=r"No space left.*memory of this process alone"):
+        study.run(trainer=trainer, progress=False)
+    assert not (tmp_path / "waiting").exists()
+    assert not (tmp_path / "cache" / "mbtl").exists()
+    room.append("free")
+    study.run(trainer=trainer, progress=False)
+    assert len(TRAINED) == len(study.state.rows) == 1
+
+
+def lost(policy, folder):
+    raise ZeroDivisionError("licence expired")
+
+
+def test_a_policy_that_is_neither_saved_nor_sent_is_lost_for_the_reason_of_its_save(tmp_path):
+    """Its worker once gave the reason why it could not be sent, and advised what was done."""
+    trainer = FunctionTrainer(lambda context, seed: lambda: 1.0, evaluate, lost, load)
+    job = Job(trainer, [SPACE.context(0)], 0, SPACE.contexts[:2], [1, 2], FolderStore(tmp_path))
+    trouble = pickle.loads(pickle.dumps(perform_elsewhere(replace(job, places=[PLACE]))))
+    assert trouble.kept is None
+    with pytest.raises(StorageError, match=r"ZeroDivisionError.*could not send the policy back"):
+        raise trouble.error
 
 
 class Recipe(FunctionTrainer):

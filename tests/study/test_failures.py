@@ -112,10 +112,12 @@ def test_a_rehearsal_is_short_and_can_be_left_out():
     assert trainer.evaluated == [(trainer.trained[0], N)]
 
 
-@pytest.mark.parametrize("saves", [True, False])
-def test_a_wrong_shape_costs_one_training_at_most_and_its_policy_is_kept(tmp_path, saves):
+@pytest.mark.parametrize(
+    ("saves", "then"), [(True, "kept and only evaluated"), (False, "memory of this process alone")]
+)
+def test_a_wrong_shape_costs_one_training_at_most_and_its_policy_is_kept(tmp_path, saves, then):
     trainer, study = Bench(evaluate=wrong_shape, saves=saves), study_in(tmp_path)
-    with pytest.raises(TrainingFailed, match=r"the policy is trained.*only evaluated") as raised:
+    with pytest.raises(TrainingFailed, match=rf"the policy is trained.*{then}") as raised:
         study.run(trainer=trainer)
     assert isinstance(raised.value.__cause__, TrainingFailed)  # where it came from
     assert trainer.evaluated == [(trainer.trained[0], 2)]

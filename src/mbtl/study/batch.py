@@ -21,6 +21,7 @@ from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.ask_tell import AskTell
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
+    ALONE,
     NOT_THE_TRAININGS_FAULT,
     Job,
     Kept,
@@ -372,7 +373,9 @@ class Batches:
         then += f"; {again} it is trained again" if pick.trains else ""
         if trouble.kept is None:
             then = f"run again, {again} to train there again"
-        elif trouble.stage == "loading" and trouble.kept.artifact is not None:
+        elif trouble.kept.artifact is None:
+            then = f"run again {ALONE}"
+        elif trouble.stage == "loading":
             place = trouble.kept.artifact.place
             then = f"run again, or remove {place} to have the policy trained again"
         return failure(
@@ -476,7 +479,8 @@ def brought_back(future: Future[Any]) -> Any:
             raise StudyError(_DIED) from error
         raise StudyError(
             f"a policy trained in another process must be sent back or saved there, got "
-            f"{reason_of(error)}; give save and load functions, or use Workers(1)"
+            f"{reason_of(error)}; give save and load functions, and the study a place for policies "
+            "(artifacts=), or use Workers(1)"
         ) from error
 
 

@@ -6,6 +6,7 @@ training, its policy is found by whoever does the job next, and nothing is train
 
 from __future__ import annotations
 
+import pickle
 import shutil
 import tempfile
 import time
@@ -40,6 +41,13 @@ from mbtl.trainers.contract import (
 
 NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be done once the cause is mended."""
+
+ALONE = (
+    "here: the policy is in the memory of this process alone, and another process would train it "
+    "again"
+)
+_LOST = "to train it again: its worker process could not send the policy back either"
+"""What to do with a policy that is saved nowhere, after "run again"."""
 
 Stage = Literal["training", "saving", "loading", "evaluation"]
 
@@ -237,9 +245,20 @@ def perform_elsewhere(job: Job) -> Outcome | Trouble:
     if isinstance(outcome, Trouble):
         if not isinstance(outcome.error, MbtlError):
             outcome = replace(outcome, error=None)
+        elif outcome.stage == "saving" and not _can_travel(outcome.kept):
+            outcome.error.args = (str(outcome.error).replace(ALONE, _LOST),)
+            outcome = replace(outcome, kept=None)
         if outcome.kept is not None and outcome.kept.artifact is not None:
             outcome = replace(outcome, kept=replace(outcome.kept, policy=None))
     return outcome
+
+
+def _can_travel(kept: Kept | None) -> bool:
+    try:
+        pickle.dumps(kept)
+    except Exception:  # of whatever the policy consists of
+        return False
+    return True
 
 
 def rehearse(
@@ -445,21 +464,20 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
         safe = job.store.write(job.place, fill, receipt)
     except (StorageError, OSError) as error:
         waits = _spooled(job, fill, receipt)
-        then = (
-            f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
-        )
+        then = f"again {ALONE}"
+        if waits:
+            then = f"the same command again: it waits in {waits}, and is not trained again"
         why = getattr(error, "strerror", None) or error
         raise StorageError(
-            f"the policy could not be saved in {job.place} ({why}); {then}: free space or mend "
-            "access, then run the same command again"
+            f"the policy could not be saved in {job.place} ({why}); free space or mend access, "
+            f"then run {then}"
         ) from error
     except NOT_THE_TRAININGS_FAULT:
         raise
     except FAULTS as error:
         raise StorageError(
-            f"the trained policy could not be saved, save raised {reason_of(error)}; it is in the "
-            "memory of this process alone: mend save and run the study again here, since another "
-            "process would train it again"
+            f"the trained policy could not be saved, save raised {reason_of(error)}; mend save, "
+            f"then run again {ALONE}"
         ) from error
     for spool in job.spools:
         for place in job.places:
@@ -475,4 +493,7 @@ def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any])
                 for place in job.places[:-1]:  # where it has waited before
                     spool.remove(place)
                 return spool.read(job.place)
+        with suppress(OSError):  # folders that are empty now
+            for folder in list(Path(spool.root, job.place).parents)[:4]:
+                folder.rmdir()
     return None
