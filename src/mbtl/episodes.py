@@ -237,7 +237,7 @@ def completed(returns: Array, *, gaps: bool = False) -> Array:
             f"{int(np.isnan(means).sum())} of {len(means)} contexts"
         )
     lacking, found = np.isnan(returns), returns.copy()
-    for t in np.flatnonzero(lacking.any(axis=1)):
+    for t in np.flatnonzero(lacking.any(axis=1) & ~lacking.all(axis=1)):
         off = np.where(lacking[t], 0.0, returns[t] - means[t])
         scatter = np.sqrt(np.square(off).sum() / max(len(off) - 1, 1))
         found[t] = means[t] + off * (deviations[t] / scatter if scatter > 0.0 else 1.0)

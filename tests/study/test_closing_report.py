@@ -179,6 +179,24 @@ def test_a_context_that_cannot_be_played_does_not_cost_the_fresh_v(capsys):
     assert "1 of 20 contexts had no fresh episode that counts: of these V is as believed" in told
 
 
+def test_an_episode_that_gives_none_is_nan_in_the_log_and_not_counted():
+    """The mean of its context's others stood there, and was said to be an episode."""
+
+    def evaluate(policy, contexts, seeds):
+        found = np.array(returns_of(policy, contexts, seeds))
+        found[[context["x"] == 1.0 for context in contexts], 0] = np.nan
+        return found
+
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 4})
+    study = created(space, budget=2, bounds=(0.0, 1.0))
+    fresh = study.run(lambda context, seed: context["x"], evaluate).fresh
+    (event,) = [one for one in study.log.read() if one.kind == "reported"]
+    assert np.argwhere(np.isnan(event.arrays["served"])).tolist() == [[3, 0]]
+    assert fresh.served == pytest.approx(np.nanmean(event.arrays["served"], axis=1))
+    said = fresh_episodes(summarise_study(study))
+    assert said == f"{EPISODES - 1} to {EPISODES} fresh episodes per context, which chose nothing"
+
+
 def test_a_region_that_never_plays_is_no_sample_of_the_others():
     def evaluate(policy, contexts, seeds):
         found = np.array(returns_of(policy, contexts, seeds))

@@ -58,6 +58,7 @@ class StudySummary:
         fresh_value: V on fresh episodes; None where not measured.
         fresh_margin: half its 95 % interval; None where unknown.
         fresh_episodes: how many fresh episodes a context was played; None where not measured.
+        fresh_fewest: fewest of them that gave a return; None likewise.
         fresh_contexts: how many contexts were played, drawn by chance; None likewise.
         fresh_lost: how many more were to be played, and gave no episode that counts; None likewise.
         risk: share of the contexts, the worst of them, that V is the mean of.
@@ -105,6 +106,7 @@ class StudySummary:
     fresh_value: float | None = None
     fresh_margin: float | None = None
     fresh_episodes: int | None = None
+    fresh_fewest: int | None = None
     fresh_contexts: int | None = None
     fresh_lost: int | None = None
     risk: float
@@ -259,6 +261,7 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_value=None if fresh is None else fresh.value,
         fresh_margin=None if fresh is None else fresh.margin,
         fresh_episodes=None if fresh is None else fresh.episodes,
+        fresh_fewest=None if state.fresh is None else state.fresh.fewest,
         fresh_contexts=None if fresh is None else fresh.contexts,
         fresh_lost=None if state.fresh is None else len(state.fresh.lost),
         worst_tenth=float(tenth @ served),

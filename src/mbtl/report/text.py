@@ -222,7 +222,8 @@ def fresh_episodes(summary: StudySummary) -> str:
     if played < summary.n_contexts:
         where = f"in each of {played} of the {summary.n_contexts} contexts"
         where += f" ({summary.fresh_lost} more gave none)" * bool(summary.fresh_lost)
-    return f"{count} fresh episode{'s' * (count > 1)} {where}, which chose nothing"
+    often = _range((summary.fresh_fewest or count, count))
+    return f"{often} fresh episode{'s' * (count > 1)} {where}, which chose nothing"
 
 
 def _with_margin(value: float, margin: float | None) -> str:

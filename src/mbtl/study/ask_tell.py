@@ -679,8 +679,8 @@ class AskTell:
         """Record returns on fresh evaluation seeds.
 
         Args:
-            served: (N, E) of the policies that serve, raw units; NaN where a context was not
-                played, as `mbtl.study.closing_report` draws them.
+            served: (N, E) of the policies that serve, raw units; NaN where an episode gave none or
+                a context was not played, as `mbtl.study.closing_report` draws them.
             alone: (N, E) of the best single policy, on the same episodes.
             best_single: its place among the rows.
             baselines: name -> (N, E) on the same episodes of what V is compared with.

@@ -235,7 +235,8 @@ class FreshReturns:
     """What policies gave on fresh episodes, which chose nothing.
 
     Attributes:
-        served: (N, E) of the policies that serve, raw units; NaN where a context was not played.
+        served: (N, E) of the policies that serve, raw units, `completed`; NaN where a context was
+            not played.
         alone: (N, E) of the best single policy, on the same episodes.
         best_single: its place among the rows.
         baselines: name -> (N, E) of what V is compared with, on the same episodes.
@@ -243,6 +244,7 @@ class FreshReturns:
         metrics: name -> (N,) mean of each measure, of the policies that serve, as "policies", and
             of the baselines; NaN where a context was not played or did not tell it.
         lost: contexts that were to be played, and gave no episode that counts.
+        fewest: episodes that count of a context that was played.
     """
 
     served: Array
@@ -252,3 +254,4 @@ class FreshReturns:
     units: Mapping[str, str] = field(default_factory=dict)
     metrics: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
     lost: tuple[int, ...] = ()
+    fewest: int = 0

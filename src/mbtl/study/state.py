@@ -11,7 +11,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import middle_of
-from mbtl.episodes import Episodes
+from mbtl.episodes import Episodes, completed
 from mbtl.errors import StudyError
 from mbtl.history import History, Training
 from mbtl.objective import Bounds
@@ -507,16 +507,19 @@ class StudyState:
     def _reported(self, event: Event) -> None:
         arrays, data = event.arrays, event.data
         names, units = data.get("baselines") or [], data.get("metrics") or {}
-        who = ["policies", *names]
+        who, counts = ["policies", *names], np.isfinite(arrays["served"]).sum(axis=1)
+        told = (arrays["served"], arrays["alone"], *arrays.get("baselines", ()))
+        served, alone, *others = (completed(each, gaps=True) for each in told)
         self.fresh = FreshReturns(
-            arrays["served"],
-            arrays["alone"],
+            served,
+            alone,
             data["best_single"],
-            dict(zip(names, arrays.get("baselines", ()), strict=True)),
+            dict(zip(names, others, strict=True)),
             units,
             {w: dict(zip(units, m, strict=True))
              for w, m in zip(who, arrays["metrics"], strict=True)} if units else {},
             tuple(data.get("lost") or ()),
+            int(counts[counts > 0].min(initial=data["episodes"])),
         )  # fmt: skip
 
 

@@ -732,7 +732,7 @@ def _play(
     def play(policy: Any, targets: Indices, *, own: bool = True) -> tuple[Array, Array]:
         """(N, E) returns, (measures, N) means; of a policy of the study or of a baseline.
 
-        NaN where no episode counts, or none is to be played.
+        NaN where an episode does not count, or none is to be played.
         """
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
@@ -744,7 +744,7 @@ def _play(
             else:
                 returns = trainer.evaluate(policy, contexts, seeds)
         named = study.space.named(targets)
-        each = completed(checked_returns(returns, targets.size, named, gaps=own), gaps=True)
+        each = checked_returns(returns, targets.size, named, gaps=own)
         found, means = np.full((n, each.shape[1]), np.nan), np.full((len(names), n), np.nan)
         found[targets] = each
         for mean, name in zip(means, names, strict=True):
@@ -758,7 +758,7 @@ def _play(
     for i, (returns, means) in found.items():
         mine = plan.route == i
         served[mine], own_means[:, mine] = returns[mine, :episodes], means[:, mine]
-    there = np.asarray(np.isfinite(served).all(axis=1))
+    there = np.asarray(np.isfinite(served).any(axis=1))
     others: dict[str, tuple[Array, Array]] = {}
     for name, policy in baselines.items():
         try:
