@@ -47,6 +47,7 @@ def test_every_context_gets_the_policy_that_returned_most_there():
     portfolio = make()
     assert portfolio.routing.route.tolist() == [0, 0, 1, 1, 1]
     assert portfolio.value == pytest.approx((500 + 400 + 300 + 450 + 500) / 5 / 500)
+    assert repr(portfolio).endswith(", V = 0.8600, estimated)")  # a report measures it afresh
     assert act(portfolio.policy_for({"length": 0.5})) == 0
     assert act(portfolio.policy_for({"length": 2.5})) == 1
 

@@ -75,6 +75,8 @@ def test_one_that_is_not_better_is_not_kept(toy, mbtl_command):
     found = adapt(known, toy, home)
     assert not found.is_better
     assert "It behaves the same there" in found.explanation
+    unsure = replace(found, after=found.after + 1.0, lead=0.1, margin=0.2)
+    assert unsure.explanation.startswith("Too few episodes to tell (run again with more eval_ep")
 
 
 def test_the_command_tunes_says_and_adds(toy, mbtl_command):

@@ -129,7 +129,7 @@ class Portfolio:
 
     @property
     def value(self) -> float:
-        """V of the policies as they are routed, by the returns held here; see `routing`."""
+        """V as the policies are routed, estimated from the returns held here; see `routing`."""
         return self.routing.value.value
 
     # ---- routing -----------------------------------------------------------------------------
@@ -414,7 +414,8 @@ class Portfolio:
         )
 
     def __repr__(self) -> str:
-        return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
+        v = f"V = {self.value:.4f}, estimated"
+        return f"Portfolio({len(self)} policies for {self.space!r}, {v})"
 
     def _saved_policies(self) -> list[SavedPolicy]:
         found: list[SavedPolicy] = []

@@ -54,7 +54,9 @@ class Adapted:
     def explanation(self) -> str:
         """The outcome in a sentence."""
         was, now = (float(returns.mean()) for returns in (self.before, self.after))
-        verdict = "Too few episodes to tell" if abs(self.lead) <= self.margin else "It is worse"
+        more = "run again with more eval_episodes, or with an evaluate that returns more"
+        few = f"Too few episodes to tell ({more})"
+        verdict = few if abs(self.lead) <= self.margin else "It is worse"
         if (self.after == self.before).all():
             verdict = "It behaves the same there"
         verdict = "It is better" if self.is_better else verdict
