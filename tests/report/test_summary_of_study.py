@@ -13,7 +13,7 @@ from mbtl.problems import get_cmdp
 from mbtl.report import of_study, page, reference_curves, summarise_study
 from mbtl.report.content import content
 from mbtl.report.summary import policies_enough
-from mbtl.report.text import lines, show_summary
+from mbtl.report.text import beside_table, lines, show_summary
 from mbtl.selectors import Proposal, Traits
 from mbtl.study.closing_report import plan_of
 from mbtl.study.problem import Beside
@@ -81,7 +81,10 @@ def test_worst_contexts_and_metrics_are_of_contexts_that_were_played():
     study.beside = Beside(metrics={"same": "m"})
     served = study.routing.served[:, None].copy()
     served[:4] = np.nan  # those believed to be worst, and two more
-    study.record_fresh_returns(served, served, best_single=0, metrics=served.T[None], lost=range(4))
+    study.record_fresh_returns(
+        served, served, best_single=0, lost=range(4),
+        baselines={"edge": served}, metrics=np.array([served.T, served.T]),
+    )  # fmt: skip
     summary, played = summarise_study(study), np.sort(served[4:, 0])
     assert summary.worst_context == 4
     assert summary.worst_tenth == pytest.approx((played[0] + 0.6 * played[1]) / 1.6)
@@ -89,9 +92,21 @@ def test_worst_contexts_and_metrics_are_of_contexts_that_were_played():
     assert any("Of the contexts played, the tenth that seemed worst" in line for line in said)
     mean = f"mean return {summary.fresh_value:.4g}, mean of the 16 contexts played: same"
     assert f"policies: V {summary.fresh_value:.4f}, {mean} {played.mean():.4g} m" in said
+    assert beside_table(summary)[0] == ["", "V", "return", "same [m], 16 contexts"]
     worst = re.search(r"<h2>Served worst</h2>.*?</section>", page([of_study(study)]), re.DOTALL)[0]
     assert "x = 0 m" not in worst
     assert "<td>–</td>" not in worst
+
+
+def test_a_metric_counts_a_context_drawn_by_its_weight_for_no_more_than_the_others():
+    weights = np.arange(1.0, N + 1.0)
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N}, weights=weights)
+    study = told(created(space, budget=2, bounds=(0.0, 1.0), strategy="mbtl"), row, 2)
+    study.beside = Beside(metrics={"same": ""})
+    served = np.full((N, 1), np.nan)
+    served[[3, 9, 18], 0] = 0.3, 0.6, 0.9
+    study.record_fresh_returns(served, served, best_single=0, metrics=served.T[None])
+    assert summarise_study(study).metrics["policies"]["same"] == pytest.approx(0.6)
 
 
 def test_a_context_where_no_policy_that_serves_was_evaluated_is_not_named_as_the_worst():
