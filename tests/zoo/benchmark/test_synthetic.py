@@ -147,7 +147,7 @@ def test_several_seeds_without_noise_would_be_one_matrix_counted_twice():
         ({"difficulty": "a"}, "difficulty must be"),
         ({"shape": (2.5,)}, "a level count must be a whole number, got 2.5"),
         ({"n_seeds": 1.5}, "n_seeds must be a whole number"),
-        ({"right": (np.inf,)}, "right must be finite"),
+        ({"right": (np.inf,)}, "a slope must be finite"),
         ({"noise": "a"}, "noise must be a number"),
         ({"name": None}, "name is a text"),
     ],

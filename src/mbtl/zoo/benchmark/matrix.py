@@ -597,7 +597,7 @@ class TransferMatrix:
         """(M, N) returns of one seed."""
         if not 0 <= whole("seed", seed) < self.n_seeds:
             raise InvalidInput(f"seeds run from 0 to {self.n_seeds - 1}, got {seed}")
-        return returns[seed]
+        return np.asarray(returns[seed])
 
     def _places(self, sources: ArrayLike) -> Indices:
         """Rows of some sources."""

@@ -65,12 +65,11 @@ class SyntheticWorld:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InvalidInput(f"name is a text, got {short(self.name)}")
-        for label, each in (("a level count", self.shape), ("n_seeds", (self.n_seeds,))):
-            for number in each:
-                whole(label, number)
-        for label, each in (("left", self.left), ("right", self.right)):
-            for number in each:
-                finite(label, number)
+        whole("n_seeds", self.n_seeds)
+        for levels in self.shape:
+            whole("a level count", levels)
+        for slope in (*self.left, *self.right):
+            finite("a slope", slope)
         d = len(self.shape)
         if d < 1 or min(self.shape) < 1 or len(self.left) != d or len(self.right) != d:
             raise InvalidInput(
