@@ -303,6 +303,13 @@ def test_failures_end_the_run_say_why_and_are_trained_again_when_asked(mbtl_comm
     assert [pick["status"] for pick in mended["picks"]] == ["told"] * 5
 
 
+def test_a_failed_training_is_begun_again_as_often_as_is_said(mbtl_command, simulator):
+    first = "train.calls = getattr(train, 'calls', 0) + 1; assert train.calls > 1, 'first'"
+    assert "nothing has succeeded yet" in mbtl_command(*simulator(train=first))[2]
+    found = mbtl_command.document(*simulator(train=first), "--new", "--retries", "1")
+    assert [pick["status"] for pick in found["picks"]] == ["told"] * 5
+
+
 def test_a_failure_that_ends_the_run_leaves_the_portfolio_of_what_succeeded(
     mbtl_command, simulator
 ):

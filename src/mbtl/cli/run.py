@@ -79,6 +79,7 @@ def run(
     no_report: Annotated[bool, _stop("No fresh episodes at the end.", "--no-report")] = False,
     report_all: Annotated[bool, _stop("Those on all contexts there are.", "--report-all")] = False,
     stop_after_failures: Annotated[int, _failed("End after so many in a row.")] = 3,
+    retries: Annotated[int, _failed("Begin a failed one again so often.")] = 0,
     retry_failed: Annotated[bool, _failed("Train those again.", "--retry-failed")] = False,
     timeout: Annotated[float | None, _failed("Seconds of a training at most.")] = None,
     no_rehearsal: Annotated[bool, _failed("No trial evaluation before.", "--no-rehearsal")] = False,
@@ -123,7 +124,7 @@ def run(
     recipe = cmdp.facts().settings["preset"]
     folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
     alone = Workers(parallel, timeout=timeout)
-    failing = Failures(stop_after_failures,
+    failing = Failures(stop_after_failures, retries=retries,
                        retry_failed=retry_failed and workers is None,
                        rehearse=not no_rehearsal)  # fmt: skip
     if workers is not None:
