@@ -57,13 +57,9 @@ def separate_workers(workers: int) -> Iterator[SeparateWorkers]:
 
     An interrupt, and the end of a generator that holds the block, ends them with all they have
     started; any other end waits for the work under way.
-
-    Raises:
-        InvalidInput: they end as soon as they begin; nothing was handed over yet.
     """
     separate = SeparateWorkers(workers)
     try:
-        separate.begin()
         yield separate
     except (KeyboardInterrupt, GeneratorExit):
         separate.shutdown(wait=False, cancel_futures=True)

@@ -212,7 +212,9 @@ def test_what_crashed_once_is_tried_for_half_as_long_and_no_third_time():
     fast = told(HALF, WHOLE, rows=[np.full(N, 0.3), np.full(N, 0.5)])
     found = Auto().propose(problem(), replace(fast, given_up=(once,), paid=2.0), RNG)
     assert (found.contexts, found.start, found.length) == (ALL, 1, 1.5)
-    assert "failed, so half as much" in found.notes[0]
+    assert "gave nothing: half as much" in found.notes[0]
+    late = replace(fast, given_up=(Training(ALL, 1, 1.5, goes_on=True),), paid=1.5)  # and extended
+    assert Auto().propose(problem(), late, RNG).length == 1.25
     found = Auto().propose(problem(), replace(fast, given_up=(once, twice), paid=2.5), RNG)
     assert len(found.contexts) == 1
 

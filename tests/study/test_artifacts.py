@@ -144,7 +144,8 @@ def test_a_study_whose_policies_are_gone_goes_on_and_says_what_it_cannot_do(tmp_
     heard, ear = [], Callback()
     ear.on_note = lambda study, words: heard.append(words)
     result = study.run(trainer=TRAINER, callbacks=[ear])
-    assert "V on fresh episodes is not measured" in heard[0]
+    assert "training 1 is not in" in heard[0]
+    assert "could not be measured: the policies of trainings [1]" in heard[-1]
     assert (len(study.state.rows), result.fresh) == (2, None)
 
 

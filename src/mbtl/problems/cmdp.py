@@ -453,7 +453,9 @@ class CMDP:
         known = {*getattr(cls, maker).__kwdefaults__, *(one.name for one in fields(cls)[3:])}
         for name in record:
             check_known(f"argument of CMDP.{maker}", name, known)
-        return record if budget is None else {"presets": _only(budget), **record}
+        if budget is None or record.get("presets"):
+            return record
+        return {**record, "presets": _only(budget)}
 
     def _with_options(self, options: Mapping[str, Any]) -> Trainer:
         trainer: Any = self.trainer

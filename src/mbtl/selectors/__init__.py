@@ -16,6 +16,7 @@ from mbtl.selectors.contract import (
     Traits,
     check_proposal,
     traits_of,
+    without_family,
 )
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
@@ -58,4 +59,5 @@ __all__ = [
     "selector_names",
     "spread_targets",
     "traits_of",
+    "without_family",
 ]

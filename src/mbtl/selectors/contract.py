@@ -70,6 +70,11 @@ class LearnedSelector(Selector, Protocol):
         ...
 
 
+def without_family(selector: Selector, family: str) -> Selector:
+    """A selector or strategy had it never seen a family; one that has learned nothing, as it is."""
+    return selector.without(family) if isinstance(selector, LearnedSelector) else selector
+
+
 def traits_of(selector: Proposes) -> Traits:
     """What a selector says of itself; one that says nothing can only propose.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from mbtl.contexts import middle_of
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem
-from mbtl.selectors.contract import Selector, Traits
+from mbtl.selectors.contract import Selector, Traits, without_family
 from mbtl.selectors.random import Random
 
 
@@ -29,6 +29,10 @@ class AllFirst:
     selector: Selector = field(default_factory=Random)
     name: str = "all-first"
     traits: ClassVar[Traits] = Traits(any_training=True)
+
+    def without(self, family: str) -> AllFirst:
+        """The same, had its selector never seen a family of problems; for honest benchmarks."""
+        return replace(self, selector=without_family(self.selector, family))
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

@@ -28,7 +28,7 @@ from mbtl.history import History, Training
 from mbtl.objective import generalisation_performance, worst_share_mean
 from mbtl.selectors import Specialists
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, believed_rows
-from mbtl.selectors.contract import LearnedSelector, Selector, Traits
+from mbtl.selectors.contract import Selector, Traits, without_family
 from mbtl.strategies.all_first import on_all
 
 _LEAST = 1e-3
@@ -82,9 +82,7 @@ class Auto:
 
     def without(self, family: str) -> Auto:
         """The same, had it never seen a family of problems; for honest benchmarks."""
-        if not isinstance(self.chooser, LearnedSelector):
-            return self
-        return replace(self, chooser=self.chooser.without(family))
+        return replace(self, chooser=without_family(self.chooser, family))
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -145,9 +143,10 @@ class Auto:
             more = min(1.0 - made.length, more)
         if any(one.start == row and one.goes_on for one in history.under_way):
             return None
-        failed = sum(one.start == row and one.goes_on for one in history.given_up)
-        more /= 2.0**failed  # a crash may be a passing one, and another training than that is asked
-        if not standing.can_go_on or more < _LEAST or failed > 1:
+        vain = [one.length for one in history.given_up if one.start == row and one.goes_on]
+        if vain:  # a crash may be a passing one; no training is asked for twice
+            more = min(more, min(vain) - made.length) / 2.0
+        if not standing.can_go_on or more < _LEAST or len(vain) > 1:
             return None
         reason, length = "all contexts, longer", made.length + more
         gain, scatter, in_all = 1.0, np.inf, np.inf
@@ -163,13 +162,13 @@ class Auto:
                 rise = (doubt * rise + seen * recent) / (doubt + seen)
                 scatter = max(abs(recent) / 2.0, abs(recent - last), error)
             gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
-            gain /= 1.0 + failed
+            gain /= 1.0 + len(vain)
             in_all = rise * np.log2((made.length + standing.left) / made.length)
         promised = None if standing.begins else gain
-        notes = ("going on with the policy for all failed, so half as much is asked for",) * failed
+        notes = ("going on with the policy for all gave nothing: half as much once more",)
         proposal = Proposal(
             history.sources[row], reason, promised, start=row, length=length, sources=made.contexts,
-            chance_left=_chance(problem.least_left, in_all, scatter), notes=notes,
+            chance_left=_chance(problem.least_left, in_all, scatter), notes=notes * len(vain),
         )  # fmt: skip
         return Option(proposal, gain, more)
 

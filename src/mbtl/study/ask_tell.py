@@ -12,6 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar, overload
@@ -655,14 +656,13 @@ class AskTell:
 
     def spend_all(self) -> None:
         """From now on end only when the budget is spent, whatever `Stopping` said."""
-        self._end_at(None, to_the_end=True)
+        self.end_as(replace(self.spec, stop_left=None, stop_value=None))
 
-    def stop_at(self, value: float) -> None:
-        """From now on end when V reaches this, and not the level before (`Stopping.value`)."""
-        self._end_at(finite("value", value))
-
-    def _end_at(self, value: float | None, **more: bool) -> None:
-        ends = {"stop_value": value, **more}
+    def end_as(self, spec: StudySpec) -> None:
+        """From now on end at the level of `spec`, and for want of gain only if that does."""
+        ends: dict[str, Any] = {"stop_value": spec.stop_value}
+        if spec.stop_left is None:
+            ends["to_the_end"] = True
         self._commit(lambda state: Event("extended", {"budget": state.spec.budget, **ends}))
 
     def record_fresh_returns(

@@ -104,7 +104,7 @@ def create_study(
         seed: root of the seed tree.
         load_if_exists: go on with a study of this name and settings. A larger budget raises that of
             the study, which goes on even if it was finished; so it does with another `value` of
-            `stopping`, or without any where there was one. A smaller budget is refused.
+            `stopping`, or with no `stopping` where there was one. A smaller budget is refused.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown strategy, ...
@@ -150,11 +150,9 @@ def create_study(
         if _sizes(spec) > _sizes(study.spec):
             total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget
             study.extend(total if spec.steps is None else Steps(spec.steps))
-        before = (study.spec.stop_left, study.spec.stop_value)
-        if spec.stop_left is None and before != (None, spec.stop_value):
-            study.spend_all()
-        if spec.stop_value is not None and study.spec.stop_value != spec.stop_value:
-            study.stop_at(spec.stop_value)
+        ends = [(each.stop_left, each.stop_value) for each in (spec, study.spec)]
+        if ends[0] != ends[1]:
+            study.end_as(spec)
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
 
@@ -349,7 +347,11 @@ def _check_same(state: StudyState, given: StudySpec, name: str) -> None:
         key, *values = difference
         usual = key.startswith("selector.")  # settings that are the default are not stored
         old, new = ("the default" if usual and v is None else short(v) for v in values)
-        how = " (`mbtl run --all` asks for no end before the budget)" if "stop_" in key else ""
+        how = (
+            " (`mbtl run --all` asks for no end before the budget)"
+            if key in ("stop_left", "stop_value")
+            else ""
+        )
         raise StudyMismatch(
             f"a stored study ({name!r}) goes on only with the settings it was made with: {key} was "
             f"{old}, got {new}{how}; repeat the old setting, or begin anew with --new (or "

@@ -475,9 +475,9 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     except NOT_THE_TRAININGS_FAULT:
         raise
     except FAULTS as error:
+        then = "" if job.untrained else f", then run again {ALONE}"
         raise StorageError(
-            f"the trained policy could not be saved, save raised {reason_of(error)}; mend save, "
-            f"then run again {ALONE}"
+            f"the policy could not be saved, save raised {reason_of(error)}; mend save{then}"
         ) from error
     for spool in job.spools:
         for place in job.places:

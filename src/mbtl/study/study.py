@@ -454,6 +454,8 @@ def run(
             finished = study.stop_reason is not None and not study.orphans
             if not (finished or lost):
                 _check_kept(study)
+            if isinstance(pooled, SeparateWorkers) and not finished:
+                pooled.begin()
             first_policy = failures.rehearse and not (study.has_succeeded or finished)
             if first_policy and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
@@ -472,7 +474,7 @@ def run(
             finally:
                 batches.give_back_held()
         _check_any_success(study)
-        if report and not lost:
+        if report:
             _report(study, trainer, announce, workers.timeout, whole=report == "all")
     finally:
         announce("on_end")
@@ -599,7 +601,12 @@ def _report(
         if study.state.rows and study.state.fresh is None and study.spec.risk == 1.0:
             failed("policies that serve were told without their files")
         return
-    told = len(study.state.rows)
+    store, rows = study.artifacts, study.state.rows
+    kept = {i: rows[i].policy for i in plan.policies if rows[i].sha256}
+    if gone := [i + 1 for i, place in kept.items() if store and store.receipt(place or "") is None]:
+        failed(f"the policies of trainings {gone} are not where they were told")
+        return
+    told = len(rows)
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
         baselines = _baselines(study, trainer)
@@ -661,8 +668,7 @@ def _announce_lost(study: Study, announce: Callable[..., None]) -> bool:
         announce(
             "on_note",
             f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
-            "it, nor is it evaluated again, so V on fresh episodes is not measured; is artifacts "
-            "(--artifacts) what it was?",
+            "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
         )
     return lost
 
@@ -767,6 +773,9 @@ def _play(
             others[name] = theirs
         except FAULTS as error:  # V must not be lost by it
             announce("on_note", f"{name!r} could not be compared: {reason_of(error)}")
+    episodes = min([episodes, *(returns.shape[1] for returns, _ in others.values())])
+    served = served[:, :episodes]  # as many of each, so that luck cancels
+    there = np.asarray(np.isfinite(served).any(axis=1))
     lost = plan.contexts[~there[plan.contexts]]
     if lost.size == plan.contexts.size:
         raise TrainingFailed(f"no fresh episode counts, got NaN in all of {lost.size} contexts")
@@ -775,9 +784,8 @@ def _play(
         announce("on_note", f"{words}: of these V is as believed")
     if missing := [n for n, told in zip(names, own_means, strict=True) if np.isnan(told).all()]:
         announce("on_note", f"no episode told the metrics {', '.join(missing)}; mind their names")
-    episodes = min([episodes, *(returns.shape[1] for returns, _ in others.values())])
     study.record_fresh_returns(
-        served[:, :episodes],
+        served,
         found[plan.best_single][0][:, :episodes],
         best_single=plan.best_single,
         baselines={name: returns[:, :episodes] for name, (returns, _) in others.items()},

@@ -11,6 +11,7 @@ from mbtl.errors import InvalidInput, MbtlError
 from mbtl.history import Training
 from mbtl.models.priors import PRIORS
 from mbtl.selectors import Proposal, get_selector
+from mbtl.strategies import AllFirst
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.trainings import ABILITIES, TransferWorld, replay_trainings, specialists_of
@@ -180,3 +181,4 @@ def test_a_strategy_is_replayed_as_if_it_had_never_seen_the_family():
     fair, seen = own.without("pendulum"), replace(own, prior=PRIORS["all"])
     runs = [replay_trainings(one, world, 6).trainings for one in (own, fair, seen)]
     assert runs[0] == runs[1] != runs[2]
+    assert AllFirst(own).without("pendulum") == AllFirst(fair)

@@ -19,7 +19,7 @@ from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
 from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
-from mbtl.selectors.contract import LearnedSelector, Selector, traits_of
+from mbtl.selectors.contract import Selector, traits_of, without_family
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
 from mbtl.strategies import get_strategy
@@ -125,12 +125,12 @@ def compare(
 
 
 def held_out(selector: Selector, cmdp: str) -> Selector:
-    """The selector as it would be had it never seen the family of a CMDP.
+    """The selector or strategy as it would be had it never seen the family of a CMDP.
 
     One that has learned from matrices has a method `without(family)`; see `family_of`. A matrix is
     of the CMDP that its provenance names, whether it is opened by file or by id.
     """
-    return selector.without(family_of(cmdp)) if isinstance(selector, LearnedSelector) else selector
+    return without_family(selector, family_of(cmdp))
 
 
 def default_selectors(matrices: Sequence[str | Path | RowSource]) -> list[str]:
@@ -169,7 +169,7 @@ def _entrants(selectors: Sequence[str | Selector]) -> dict[str, Selector | None]
         name = ORACLE if selector is None else selector.name
         if name in entrants:
             raise InvalidInput(f"selectors must have distinct names, got {name!r} twice")
-        if name in (RANDOM, ORACLE) and not isinstance(given, (str, Random)):
+        if name in (RANDOM, ORACLE) and not isinstance(selector, (Random, type(None))):
             raise InvalidInput(
                 f"{name!r} is the name of a reference, got {type(given).__name__} called so; give "
                 "your selector another name"

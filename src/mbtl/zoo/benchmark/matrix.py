@@ -682,8 +682,9 @@ class TransferMatrix:
             seed: matrix seed; None: the mean over all.
         """
         reported = self.returns if self.fresh_returns is None else self.fresh_returns
-        one = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
-        return self.bounds.normalise(one)
+        if seed is None:
+            return self.bounds.normalise(reported.mean(axis=0, dtype=np.float64))
+        return self.bounds.normalise(self._of(seed, reported))
 
     def performance(self, seed: int) -> Array:
         """(M, N) performance of one seed as a selector sees it, axis order (source, target)."""

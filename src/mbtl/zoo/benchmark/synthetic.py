@@ -68,15 +68,16 @@ class SyntheticWorld:
         whole("n_seeds", self.n_seeds)
         for levels in self.shape:
             whole("a level count", levels)
-        for slope in (*self.left, *self.right):
-            finite("a slope", slope)
+        for slope in (*self.left, *self.right, self.offset, self.noise, self.theta or 0.0):
+            finite("a slope, offset or noise", np.nan if slope is None else slope)
         d = len(self.shape)
         if d < 1 or min(self.shape) < 1 or len(self.left) != d or len(self.right) != d:
             raise InvalidInput(
                 f"a world needs one level count, left and right slope per axis, got shape "
                 f"{self.shape}, left {self.left} and right {self.right}"
             )
-        finite("noise", self.noise, 0.0)
+        if self.noise < 0.0:
+            raise InvalidInput(f"noise is 0 or more, got {self.noise:g}")
         if self.n_seeds < 1 or (self.n_seeds > 1 and self.noise == 0):
             raise InvalidInput(
                 f"a world has at least one seed, and just one without noise, where all are equal; "

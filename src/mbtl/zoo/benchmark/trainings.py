@@ -246,8 +246,8 @@ def replay_trainings(
             the seed is no whole number.
     """
     budget, seed = whole("budget", budget), whole("seed", seed)
-    strategy = held_out(get_strategy(strategy), world.data.name)
-    alone = not traits_of(strategy).any_training
+    chosen = held_out(get_strategy(strategy), world.data.name)
+    alone = not traits_of(chosen).any_training
     problem = world.problem(budget, any_training=not alone)
     rows, refused = list[Row](), list[Training]()
     reasons, value = list[str](), list[float]()
@@ -258,16 +258,16 @@ def replay_trainings(
         begun = time.perf_counter()
         try:
             with threads_for(problem.n):
-                proposal = strategy.propose(problem, history, rng)
+                proposal = chosen.propose(problem, history, rng)
         except Exhausted:
             break
         finally:
             seconds += time.perf_counter() - begun
-        check_proposal(strategy, proposal, history, any_training=not alone)
+        check_proposal(chosen, proposal, history, any_training=not alone)
         asked = _training(history, proposal)
         if asked in history.asked:
             raise InvalidInput(
-                f"a training is asked for once, got {short(asked)} again from {strategy.name!r}; "
+                f"a training is asked for once, got {short(asked)} again from {chosen.name!r}; "
                 "`history.asked` has those that are done or gave nothing"
             )
         try:
@@ -282,7 +282,7 @@ def replay_trainings(
         reasons.append(proposal.reason)
         value.append(world.value(rows))
     return TrainingsRun(
-        strategy.name,
+        chosen.name,
         world.seed,
         float(budget),
         tuple(row.training for row in rows),
