@@ -75,6 +75,12 @@ def test_an_environment_and_an_algorithm_are_a_problem():
         CMDP.from_env("m", SPACE, make_env=pendulum, timesteps=9, algoritm="SAC")
 
 
+def test_one_metric_may_be_given_by_its_name():
+    for metrics in ("fuel", ["fuel"], {"fuel": ""}):
+        made = CMDP.from_functions("mine", SPACE, train=print, evaluate=print, metrics=metrics)
+        assert made.metrics == {"fuel": ""}
+
+
 def test_a_user_s_own_presets():
     presets = {"tiny": Preset(2, timesteps=10), "big": Preset(5, timesteps=99, algorithm="A2C")}
     cmdp = CMDP.from_env("mine", SPACE, make_env=pendulum, timesteps=50, presets=presets)

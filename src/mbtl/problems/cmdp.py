@@ -180,7 +180,8 @@ class CMDP:
             )
         object.__setattr__(self, "score", Score.of(self.score))
         if not isinstance(self.metrics, Mapping):
-            object.__setattr__(self, "metrics", dict.fromkeys(self.metrics, ""))
+            names = [self.metrics] if isinstance(self.metrics, str) else self.metrics
+            object.__setattr__(self, "metrics", dict.fromkeys(names, ""))
         if self.score is not None and self.score.direction == "minimize":
             object.__setattr__(self, "direction", "minimize")
         self._check_values()
