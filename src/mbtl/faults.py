@@ -71,8 +71,7 @@ def reason_of(error: BaseException) -> str:
     said = f"{type(error).__name__}: {error}"
     if isinstance(error, SystemExit):
         said = f"sys.exit({error.code!r}) was called, where it must return or raise"
-    noted = [note for note in getattr(error, "__notes__", ()) if note.startswith(_WHERE)]
-    where = f", {harmless(noted[0], REASON // 2)}" if noted else ""
+    where = f", {harmless(noted, REASON // 2)}" if (noted := _place_of(error)) else ""
     return harmless(said, REASON - len(where)) + where
 
 
@@ -82,9 +81,14 @@ def located(context: Mapping[str, Any] | None) -> Iterator[None]:
     try:
         yield
     except FAULTS as error:
-        if context:
+        if context and not _place_of(error):  # the innermost block knows best
             error.add_note(f"{_WHERE}{context}")
         raise
+
+
+def _place_of(error: BaseException) -> str:
+    notes = getattr(error, "__notes__", ())
+    return next((note for note in notes if note.startswith(_WHERE)), "")
 
 
 def traceback_of(error: BaseException) -> str:

@@ -158,8 +158,8 @@ class History:
     @property
     def tried(self) -> tuple[int, ...]:
         """All contexts that a specialist was asked for on: trained, pending or failed."""
-        alone = (s for row, s in enumerate(self.sources) if self.made(row).is_specialist)
-        return (*alone, *self.pending, *self.failed)
+        made = [one.contexts[0] for one in self.trainings if one.is_specialist]
+        return (*(made if self.trainings else self.sources), *self.pending, *self.failed)
 
     @cached_property
     def best(self) -> Array:

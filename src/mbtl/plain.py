@@ -117,14 +117,14 @@ def array_of(name: str, given: Any) -> NDArray[Any]:
 
 
 def record(name: str, given: Any, usual: Any, *kinds: type) -> Any:
-    """A record of its kind, or a number where that is a budget; `usual` for None.
+    """A record of its kind; `usual` for None.
 
     Raises:
         InvalidInput: it is something else.
     """
     if given is None:
         return usual
-    if isinstance(given, kinds) or (name == "budget" and not hasattr(given, "__dict__")):
+    if isinstance(given, kinds):
         return given
     raise InvalidInput(
         f"{name} must be a mbtl.{' or '.join(kind.__name__ for kind in kinds)}(...), got "

@@ -461,8 +461,9 @@ class WorldTrainer:
         judged = -(-whole // _JUDGED) if self._judges else 0
         episodes = n if n > 1 else self.checkpoint_episodes
         return engine.Growing(
-            world, recipe, list(seeds), spread, whole, 0, judged, episodes, self.how
-        )
+            world, recipe, list(seeds), spread, whole,
+            judged=judged, episodes=episodes, acting=self.how,
+        )  # fmt: skip
 
     def _learner_of(self, world: Any, n: int) -> Any:
         """The recipe of a policy for so many contexts."""

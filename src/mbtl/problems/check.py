@@ -10,6 +10,7 @@ whether it is hidden or visible; with it visible, its whole "generalisation gap"
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -268,8 +269,14 @@ class Probe:
         yield Check(name, outcome, detail)
 
     def _roll(self, context: Context) -> Rollout:
-        with located(context), opened(partial(self._make, context)) as (env,):
+        with self._opened(context) as (env,):
             return roll(env, self._actions, self.seed)
+
+    @contextlib.contextmanager
+    def _opened(self, context: Context, copies: int = 1) -> Iterator[list[Any]]:
+        """Environments of one context, which their faults name."""
+        with located(context), opened(*[partial(self._make, context)] * copies) as envs:
+            yield envs
 
     def _make(self, context: Context) -> Any:
         with located(context):
@@ -304,7 +311,7 @@ class Probe:
         return "warning", apart + " in trainings" * found.silent
 
     def _first_rollout(self) -> tuple[Outcome, str]:
-        with located(self._base), opened(partial(self._make, self._base)) as (env,):
+        with self._opened(self._base) as (env,):
             actions = draw_actions(env.action_space, self.steps, self.seed)
             rollout = roll(env, actions, self.seed)
         self._actions, self._first = actions, rollout
@@ -318,7 +325,7 @@ class Probe:
         miss = self._first.outside
         if miss is not None and miss.far:
             return "failed", f"an observation is far outside its space: {miss.said}"
-        with opened(partial(self._make, self._base)) as (env,):
+        with self._opened(self._base) as (env,):
             if self.taken:
                 check_taken(env.observation_space, env.action_space)
         if miss is not None:
@@ -364,8 +371,7 @@ class Probe:
         return "failed", same
 
     def _reset(self) -> tuple[Outcome, str]:
-        make = partial(self._make, self._base)
-        with located(self._base), opened(make, make) as (env, other):
+        with self._opened(self._base, copies=2) as (env, other):
             first = roll(env, self._actions, self.seed)
             if seen := difference(first, roll(env, self._actions, self.seed)):
                 return "failed", f"the same instance, reset with the same seed, differs: {seen}"
@@ -394,7 +400,7 @@ class Probe:
         return "passed", f"{one} and {two}, in turn and at once"
 
     def _episodes_end(self) -> tuple[Outcome, str]:
-        with located(self._base), opened(partial(self._make, self._base)) as (env,):
+        with self._opened(self._base) as (env,):
             limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
             steps = self.horizon or limit or max(self.steps, _ENDING)
             info = _last_info(env, steps, self.seed)

@@ -117,7 +117,7 @@ def create_study(
         facts,
         chosen,
         describe_selector(chosen, strategy),
-        record("budget", budget, facts.budget, Steps, Cost),
+        _budget(budget, facts.budget),
         record("objective", objective, Objective(), Objective),
         record("evaluation", evaluation, Evaluation(), Evaluation),
         record("stopping", stopping, Stopping(), Stopping),
@@ -150,8 +150,7 @@ def create_study(
         if _sizes(spec) > _sizes(study.spec):
             total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget
             study.extend(total if spec.steps is None else Steps(spec.steps))
-        ends = [(each.stop_left, each.stop_value) for each in (spec, study.spec)]
-        if ends[0] != ends[1]:
+        if _ends(spec) != _ends(study.spec):
             study.end_as(spec)
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
@@ -160,6 +159,18 @@ def create_study(
 def _sizes(spec: StudySpec) -> tuple[float, ...]:
     """Steps, cost and trainings: what a larger budget has more of."""
     return spec.steps or 0, spec.cost_budget or 0.0, spec.budget
+
+
+def _ends(spec: StudySpec) -> tuple[float | None, ...]:
+    """What ends it before its budget does."""
+    return spec.stop_left, spec.stop_value
+
+
+def _budget(given: Any, usual: Any) -> Any:
+    """A number, which is checked as such, or a record of another budget."""
+    if given is not None and not hasattr(given, "__dict__"):
+        return given
+    return record("budget", given, usual, Steps, Cost)
 
 
 def _usual_name(address: str | None) -> str:

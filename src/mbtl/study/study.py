@@ -601,12 +601,12 @@ def _report(
         if study.state.rows and study.state.fresh is None and study.spec.risk == 1.0:
             failed("policies that serve were told without their files")
         return
-    store, rows = study.artifacts, study.state.rows
-    kept = {i: rows[i].policy for i in plan.policies if rows[i].sha256}
-    if gone := [i + 1 for i, place in kept.items() if store and store.receipt(place or "") is None]:
+    store, kept = study.artifacts, _kept(study)
+    serving = [i for i in plan.policies if i in kept]
+    if gone := [i + 1 for i in serving if store and store.receipt(kept[i][0]) is None]:
         failed(f"the policies of trainings {gone} are not where they were told")
         return
-    told = len(rows)
+    told = len(study.state.rows)
     stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
         baselines = _baselines(study, trainer)
@@ -660,17 +660,23 @@ def _announce_others(study: Study, announce: Callable[..., None]) -> None:
 
 def _announce_lost(study: Study, announce: Callable[..., None]) -> bool:
     """Whether policies are not where they were: a mistyped place must not be found at the end."""
-    store, rows = study.artifacts, enumerate(study.state.rows)
-    kept = [(i, row.policy) for i, row in rows if row.policy and row.sha256]  # by a run
-    lost = store is not None and bool(kept) and store.receipt(kept[-1][1]) is None
-    if store is not None and lost:
-        where = store.root if isinstance(store, FolderStore) else store.url
-        announce(
-            "on_note",
-            f"the policy of training {kept[-1][0] + 1} is not in {where}: nothing can begin with "
-            "it, nor is it evaluated again; is artifacts (--artifacts) what it was?",
-        )
-    return lost
+    store, kept = study.artifacts, _kept(study)
+    last = max(kept, default=None)
+    if store is None or last is None or store.receipt(kept[last][0]) is not None:
+        return False
+    where = store.root if isinstance(store, FolderStore) else store.url
+    announce(
+        "on_note",
+        f"the policy of training {last + 1} is not in {where}: nothing can begin with it, nor is "
+        "it evaluated again; is artifacts (--artifacts) what it was?",
+    )
+    return True
+
+
+def _kept(study: Study) -> dict[int, tuple[str, str]]:
+    """Place and hash of the policies that a run has kept, by their rows."""
+    rows = enumerate(study.state.rows)
+    return {i: (row.policy, row.sha256) for i, row in rows if row.policy and row.sha256}
 
 
 def _check_kept(study: Study) -> None:
@@ -682,11 +688,9 @@ def _check_kept(study: Study) -> None:
         StorageError: files of one have changed.
     """
     store = study.artifacts
-    if not isinstance(store, FolderStore):
-        return
-    for row in study.state.rows:
-        if row.policy and row.sha256:
-            store.read(row.policy, row.sha256)
+    if isinstance(store, FolderStore):
+        for place, sha256 in _kept(study).values():
+            store.read(place, sha256)
 
 
 def _announce_dear_rows(study: Study, announce: Callable[..., None]) -> None:

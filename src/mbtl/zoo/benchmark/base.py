@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array, Indices
+from mbtl.errors import InvalidInput
 from mbtl.objective import value_curve
+from mbtl.plain import whole
 from mbtl.routing import rank, routed, routes
 from mbtl.selectors.base import SelectionProblem
 
@@ -86,6 +88,17 @@ class Levels:
     independent: float
     oracle_transfer: float
     grand_mean: float
+
+
+def checked_seed(seed: int, n_seeds: int) -> int:
+    """The index of a matrix seed.
+
+    Raises:
+        InvalidInput: there is none of it.
+    """
+    if not 0 <= whole("seed", seed) < n_seeds:
+        raise InvalidInput(f"seeds run from 0 to {n_seeds - 1}, got {seed}")
+    return seed
 
 
 def row_blocks(

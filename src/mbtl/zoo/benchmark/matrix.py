@@ -28,10 +28,10 @@ from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
 from mbtl.files import MALFORMED
 from mbtl.objective import Bounds, Direction, direction_named
-from mbtl.plain import LARGEST, array_of, refused, short, whole
+from mbtl.plain import LARGEST, array_of, refused, short
 from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
-from mbtl.zoo.benchmark.base import Levels, levels
+from mbtl.zoo.benchmark.base import Levels, checked_seed, levels
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 
 # Entries of a matrix file: the rules each must keep, and what stands in for a missing one
@@ -595,9 +595,7 @@ class TransferMatrix:
 
     def _of(self, seed: int, returns: Floats) -> Floats:
         """(M, N) returns of one seed."""
-        if not 0 <= whole("seed", seed) < self.n_seeds:
-            raise InvalidInput(f"seeds run from 0 to {self.n_seeds - 1}, got {seed}")
-        return np.asarray(returns[seed])
+        return np.asarray(returns[checked_seed(seed, self.n_seeds)])
 
     def _places(self, sources: ArrayLike) -> Indices:
         """Rows of some sources."""

@@ -27,7 +27,7 @@ from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
 from mbtl.plain import finite, floats, short, whole
 from mbtl.selectors.base import SelectionProblem, default_theta
-from mbtl.zoo.benchmark.base import BLOCK_BYTES
+from mbtl.zoo.benchmark.base import BLOCK_BYTES, checked_seed
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +118,7 @@ class SyntheticWorld:
 
     def returns(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) returns of the policies trained on `sources` (m,)."""
-        index = np.asarray(sources, dtype=np.intp)
-        if not 0 <= seed < self.n_seeds:
-            raise InvalidInput(f"seeds run from 0 to {self.n_seeds - 1}, got {seed}")
+        index, seed = np.asarray(sources, dtype=np.intp), checked_seed(seed, self.n_seeds)
         total = np.full((len(index),) + (1,) * len(self.shape), self.offset)
         for q, level in enumerate(np.unravel_index(index, self.shape)):
             ones = [1] * len(self.shape)
