@@ -193,6 +193,7 @@ def told(*trainings, rows, **more):
 
 
 HALF, WHOLE = Training(ALL, None, 0.5), Training(ALL, 0, 1.0, goes_on=True)
+VAIN = HALF, Training(ALL, None, 0.25)
 SLOW = [np.full(N, 0.40), np.full(N, 0.41)]
 RNG = np.random.default_rng(0)
 
@@ -213,6 +214,9 @@ def test_what_crashed_once_is_tried_for_half_as_long_and_no_third_time():
     found = Auto().propose(problem(), replace(fast, given_up=(once,), paid=2.0), RNG)
     assert (found.contexts, found.start, found.length) == (ALL, 1, 1.5)
     assert "gave nothing: half as much" in found.notes[0]
+    longer = Training(ALL, 1, 1.5, goes_on=True)
+    slower = told(HALF, WHOLE, longer, rows=[np.full(N, at) for at in (0.3, 0.5, 0.55)])
+    assert "the last 0.5 units added 0.050" in Auto().propose(problem(), slower, RNG).reason
     late = replace(fast, given_up=(Training(ALL, 1, 1.5, goes_on=True),), paid=1.5)  # and extended
     assert Auto().propose(problem(), late, RNG).length == 1.25
     found = Auto().propose(problem(), replace(fast, given_up=(once, twice), paid=2.5), RNG)
@@ -220,16 +224,21 @@ def test_what_crashed_once_is_tried_for_half_as_long_and_no_third_time():
 
 
 def test_half_a_unit_that_is_left_of_a_failed_one_ends_the_study():
-    half = History(N, given_up=(HALF,), failed=(1, 2, 3), paid=14.5)
+    half = History(N, given_up=VAIN, failed=(1, 2, 3), paid=14.5)
     with pytest.raises(Exhausted, match="less left than a whole training"):
         Auto().propose(problem(budget=15), half, RNG)
     cheap = problem(budget=15, costs=np.full(N, 0.1), cost_budget=10.0)
     assert len(Auto().propose(cheap, half, RNG).contexts) == 1
 
 
-def test_a_policy_for_all_that_failed_leaves_the_chooser():
-    history = History(N, given_up=(HALF,), paid=0.5)
-    found = Auto().propose(problem(), history, RNG)
+def test_a_policy_for_all_that_failed_is_tried_for_half_as_long_and_then_leaves_the_chooser():
+    once = History(N, given_up=(HALF,), paid=0.5)
+    found = Auto().propose(problem(), once, RNG)
+    assert (found.contexts, found.start, found.length) == (ALL, None, 0.25)
+    assert "gave nothing: half as long" in found.notes[0]
+    whole_only = replace(problem(), abilities=frozenset({"sets"}))  # no other length can be asked
+    assert len(Auto().propose(whole_only, once, RNG).contexts) == 1
+    found = Auto().propose(problem(), History(N, given_up=VAIN, paid=0.75), RNG)
     assert (found.contexts, found.start) == ((4,), None)
 
 

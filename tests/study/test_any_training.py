@@ -18,6 +18,7 @@ from mbtl.report.subject import of_study
 from mbtl.report.text import lines
 from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
+from mbtl.study import StudyFinished
 from mbtl.study.budget import counted
 from mbtl.study.create import EPISODES
 from mbtl.trainers import Progress, Trained, Trainer
@@ -662,6 +663,20 @@ def test_a_cost_pays_for_lengths_and_for_the_mean_of_a_set():
     assert study.state.committed <= 11.0
     assert study.is_finished
     assert study.stop_reason.startswith("of the cost budget of 11 ")
+
+
+def test_each_try_of_a_training_is_paid_where_costs_are_known():
+    study = mbtl.create_study(SPACE, budget=mbtl.Cost(4.0, np.ones(N)), strategy="kmeans")
+    pick = study.ask()
+    study.fail(pick, "by chance", again=True)
+    assert (study.state.committed, study.state.spent_words(answered=True)) == (2, "cost 1 of 4")
+    study.tell(study.ask(), np.full(N, 0.5))
+    study.fail(study.ask(), "for good")
+    assert (study.state.cost, study.state.committed) == (1, 3)
+    assert study.state.cost_left == pytest.approx(1)
+    assert study.ask() is not None
+    with pytest.raises(StudyFinished):
+        study.ask()
 
 
 def test_what_is_under_way_counts_where_costs_are_only_told():

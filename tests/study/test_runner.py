@@ -233,6 +233,18 @@ def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger():
             short.extend(budget)
 
 
+def test_who_gives_no_budget_goes_on_with_the_one_that_was_raised(tmp_path):
+    problem = mbtl.CMDP.from_functions(
+        "raised", SPACE, train=TRAINER.train, evaluate=TRAINER.evaluate, budget=3
+    )
+    budgets = (None, 5, None)
+    again = {"storage": tmp_path / "study.db", "load_if_exists": True}
+    made = [problem.study(budget=one, **again).spec.budget for one in budgets]
+    assert made == [3, 5, 5]
+    with pytest.raises(StudyMismatch, match="budget was 5, got 3"):
+        problem.study(budget=3, **again)
+
+
 def test_a_cost_can_be_raised_and_pays_for_one_training_at_least(tmp_path):
     def paid(total, trainings=None):
         budget = mbtl.Cost(total, np.full(15, 2.0), trainings)

@@ -117,6 +117,6 @@ def _spent(study: Study) -> float:
     """How much of the budget is spent on what is done or failed."""
     state = study.state
     if study.spec.cost_budget is not None:
-        return state.cost
+        return state.cost_answered
     whole = state.paid if study.spec.steps is None else state.bill().total
     return whole - sum(_price(study, number) for number in state.open_picks)

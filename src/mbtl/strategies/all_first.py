@@ -43,16 +43,25 @@ class AllFirst:
         return self.selector.propose(problem.alone, history.specialists(), rng)
 
 
-def on_all(problem: SelectionProblem, history: History) -> Proposal | None:
-    """One policy for all contexts; None: that was tried, or cannot be."""
+def on_all(problem: SelectionProblem, history: History, *, again: bool = False) -> Proposal | None:
+    """One policy for all contexts; None: that was tried, or cannot be.
+
+    A crash may be a passing one: on request it is tried once more, for half as long.
+    """
     everyone = tuple(problem.sources.tolist())
-    tried = (*history.trainings, *history.under_way, *history.given_up)
     abilities = problem.abilities or frozenset()
     if "sets" not in abilities or len(everyone) < 2:
         return None
-    if any(training.contexts == everyone for training in tried):
+    if any(one.contexts == everyone for one in (*history.trainings, *history.under_way)):
         return None
     middle = middle_of(everyone, problem.steps)
     # asked for by its length, the training can go on later
     length = 1.0 if "length" in abilities else None
-    return Proposal(middle, "all contexts first", length=length, sources=everyone)
+    first = Proposal(middle, "all contexts first", length=length, sources=everyone)
+    vain = [one for one in history.given_up if one.contexts == everyone]
+    if not vain:
+        return first
+    if not again or length is None or len(vain) > 1:
+        return None
+    note = "the policy for all contexts gave nothing: half as long once more"
+    return replace(first, length=vain[0].length / 2.0, notes=(note,))

@@ -95,11 +95,11 @@ class Auto:
         if problem.assumed:  # whoever trains by hand reads one context off a pick
             problem = replace(problem, abilities=frozenset())
         standing = Standing(problem, history)
-        if (first := on_all(problem, history)) is not None:
+        if (first := on_all(problem, history, again=True)) is not None:
             # a look on the way says how fast it learns
-            early = standing.can_go_on and standing.left > 1.0
+            early = standing.can_go_on and standing.left > 1.0 and not first.notes
             length = min(self.first, 1.0) if early else first.length
-            return replace(first, length=length, notes=standing.missing)
+            return replace(first, length=length, notes=(*first.notes, *standing.missing))
         if standing.begins and any(standing.is_for_all(one) for one in history.under_way):
             raise Exhausted("what is best next depends on the policy for all, in training now")
         if standing.everybody is None:
@@ -153,10 +153,10 @@ class Auto:
         if not standing.begins:
             rise, seen = self.double_share * standing.headroom, len(standing.doublings)
             if seen:
-                last, error = standing.doublings[-1]
-                reason += f": the last doubling added {last:.3f}"
+                last, error, said = standing.doublings[-1]
+                reason += f": the last {said}"
                 # one alone says little: a large gain may follow a small one
-                recent = float(np.mean([gain for gain, _ in standing.doublings[-2:]]))
+                recent = float(np.mean([gain for gain, *_ in standing.doublings[-2:]]))
                 # a policy that stayed as it was, the best of its evaluations, is no luck
                 doubt = 0.0 if standing.stayed else self.doubt
                 rise = (doubt * rise + seen * recent) / (doubt + seen)
@@ -266,15 +266,22 @@ class Standing:
         return max(1.0 - self.value(self.best), _LITTLE)
 
     @cached_property
-    def doublings(self) -> list[tuple[float, float]]:
-        """Gains in mean performance when the policy for all was trained twice as long; errors."""
+    def doublings(self) -> list[tuple[float, float, str]]:
+        """Gains in mean performance when the policy for all was trained twice as long; errors.
+
+        And what was added, in words: not each step is a whole doubling.
+        """
         weights, errors, found = self.problem.weights, self.history.errors, []
         for before, now in pairwise(self.for_all):
-            longer = self.history.made(now).length / self.history.made(before).length
-            if longer > 1.0:
+            since, until = (self.history.made(row).length for row in (before, now))
+            if until > since:
                 gain = (self.rows[now] - self.rows[before]) @ weights
                 noise = 0.0 if errors is None else np.linalg.norm(errors[[before, now]] * weights)
-                found.append((float(gain / np.log2(longer)), float(noise / np.log2(longer))))
+                twice = float(np.log2(until / since))
+                units = f"{until - since:g} unit" + "s" * (until - since != 1.0)
+                what = "doubling" if twice == 1.0 else units
+                said = f"{what} added {gain:.3f}"
+                found.append((float(gain) / twice, float(noise) / twice, said))
         return found
 
     @property

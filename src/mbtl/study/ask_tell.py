@@ -401,7 +401,8 @@ class AskTell:
         Args:
             pick: what `ask` gave (of one that evaluates only: further entries of a row), or the
                 context (or its index) of a policy you already have, or all of them, of one trained
-                on several; rows that nobody asked for do not count towards the budget.
+                on several. That answers the open pick on these from scratch, if there is one; rows
+                that nobody asked for do not count towards the budget.
             returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units. NaN is
                 an episode that has none, and counts as not played.
             targets: T indices of the contexts evaluated on; None: those that the pick asks for,
@@ -418,8 +419,8 @@ class AskTell:
             evaluation_steps: of the evaluation told here; None: each episode counts as the longest.
 
         Returns:
-            True: recorded. False: too late, because somebody took the pick over meanwhile; the
-            returns are in the log, and count for nothing.
+            True: recorded. False: too late, because somebody took the pick over or answered it
+            meanwhile; the returns are in the log, and count for nothing.
 
         Raises:
             TrainingFailed: returns of wrong shape, all NaN, or beyond 1e30. Nothing is recorded;

@@ -43,10 +43,13 @@ class Cost:
     """A cost in the user's own unit, e.g. hours.
 
     Attributes:
-        total: that all trainings together may cost; the study ends when the costs told reach it.
+        total: that all trainings together may cost, failed ones and each try of them, where that
+            is known before.
         per_context: (N,) expected cost of a whole training on each context, or a function of the
-            context; then nothing is asked for that costs more than what is left, and `auto` seeks
-            the most gain per cost. None: costs are only known when they are told.
+            context (of several contexts the mean); then nothing is asked for that costs more than
+            what is left, and `auto` seeks the most gain per cost. None: costs are only known when
+            they are told; the study ends when they reach the total, `auto` when less is left than
+            its next training costs, as the mean told says.
         trainings: at most so many units; None: as many as the cost pays for, of a selector the
             CMDP's number, or one on each context.
 

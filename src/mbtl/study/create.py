@@ -89,7 +89,8 @@ def create_study(
     Args:
         problem: a CMDP, which says what belongs to it: contexts, budget, bounds, direction, trainer
             and recipe (`CMDP.recipe` chooses another one); or a bare `ContextSpace`.
-        budget: number of trainings; or `Steps` or a `Cost`; None: the problem's.
+        budget: number of trainings; or `Steps` or a `Cost`; None: the problem's, or that of the
+            study that goes on.
         strategy: what to train next: a name such as "auto", "mbtl", "all-first"; "my_file.py:Mine";
             or an object with `propose`.
         objective: what V is; None: as the problem has it.
@@ -146,6 +147,8 @@ def create_study(
                 f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
                 "to go on with it, or choose another name"
             ) from None
+        if budget is None and spec.in_units and study.spec.in_units:  # it may have been raised
+            spec = replace(spec, budget=max(spec.budget, study.spec.budget))
         _check_same(study.state, spec, name)
         if _sizes(spec) > _sizes(study.spec):
             total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget

@@ -168,12 +168,20 @@ class StudyState:
 
     @property
     def committed(self) -> float:
-        """Cost of the rows told and, where costs are known, of picks that failed or are open."""
-        costs = self.spec.costs
-        if costs is None:
+        """Cost of the rows told and, where costs are known, of picks that failed or are open.
+
+        Each try that failed before counts, too.
+        """
+        open_ = sum(map(self.usual_cost, self.open_picks.values()))
+        return self.cost_answered + (0.0 if self.spec.costs is None else open_)
+
+    @property
+    def cost_answered(self) -> float:
+        """The same without picks that are open."""
+        if self.spec.costs is None:
             return self.cost
-        begun = [*self.open_picks.values(), *(self.picks[f.pick] for f in self.failures)]
-        return self.cost + sum(self.usual_cost(pick) for pick in begun)
+        vain = sum(self.usual_cost(self.picks[failure.pick]) for failure in self.failures)
+        return self.cost + vain + sum(self.usual_cost(pick) * pick.retries for pick in self.picks)
 
     @property
     def cost_left(self) -> float:
@@ -316,7 +324,7 @@ class StudyState:
     def spent_words(self, *, answered: bool = False) -> str:
         """How much of the budget is asked for, or done: "3 of 15 trainings", "cost 2.5 of 60"."""
         if (budget := self.spec.cost_budget) is not None:
-            return f"cost {self.cost if answered else self.committed:g} of {budget:g}"
+            return f"cost {self.cost_answered if answered else self.committed:g} of {budget:g}"
         if self.spec.steps is not None:
             bill = self.bill()
             spent = bill.total - (bill.under_way if answered else 0.0)
