@@ -238,7 +238,7 @@ class Routing:
         (mean, *left_out), at = self._means(targets), np.arange(len(targets))
         route = last_route(mean, self.sources, self.space.steps, targets)
         measured = self.beliefs.measured[:, targets]
-        seen = float(weights @ measured[route, at])
+        seen = min(float(weights @ measured[route, at]), 1.0)
         served = mean[route, at]
         rival = np.zeros(len(at)) if alone is None else mean[alone]
         spread = self._sampling(served - rival, weights)

@@ -131,6 +131,12 @@ def test_with_a_risk_v_is_said_to_be_of_the_worst_contexts():
     assert "the mean over the worst 10% of the contexts, estimated" in said
     assert "Served worst, as far as is known: x = 0 m, at 0.7200." in said
     assert "worst-served tenth" not in said
+    assert "evaluate on more targets" not in said
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), eval_targets=5, strategy="mbtl", risk=0.1)
+    pick = study.ask()
+    study.tell(pick, row(pick.source)[list(pick.targets)])
+    said = " ".join(lines(summarise_study(study), SPACE))
+    assert "worst may be far worse than predicted: evaluate on more targets" in said
 
 
 def test_fresh_intervals_are_of_independent_contexts_and_paired_between_policies():

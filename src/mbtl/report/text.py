@@ -14,6 +14,9 @@ from mbtl.study.budget import counted
 
 _NOTHING = 5e-5
 """What prints as 0."""
+_ENOUGH = 0.3
+"""Share of V measured below which a V of the worst contexts is too high: with a sixth of sixty
+contexts a third of the intervals held, with a third of them all."""
 
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
@@ -119,6 +122,8 @@ def estimate(summary: StudySummary) -> list[str]:
     how = f"estimated from the episodes that chose the policies{_extrapolated(summary.measured)}"
     if summary.risk < 1.0:
         how = f"the mean over {summary.over}, {how}"
+        if summary.measured < _ENOUGH:
+            how += "; the worst may be far worse than predicted: evaluate on more targets"
     return [f"V = {v}, {how}."]
 
 
