@@ -49,9 +49,10 @@ def resolve_cmdp(name: str, **switches: Any) -> CMDP:
             )
         return get_cmdp(name, **given)
     if given:
+        switch, value = next(iter(given.items()))
         raise InvalidInput(
-            f"{', '.join(switches)} are switches of our CMDPs, got "
-            f"{next(iter(given.values()))!r} with {name!r}; set it in your problem"
+            f"{', '.join(switches)} are switches of our CMDPs, got {switch} {value!r} with "
+            f"{name!r}, a problem of your own; leave {switch} out: the problem itself decides it"
         )
     found = load_object(name)
     if not isinstance(found, CMDP):

@@ -210,6 +210,14 @@ def test_every_second_context_is_a_source(mbtl_command, tmp_path):
     assert "--sources-every must be from 1" in said
 
 
+def test_trainings_of_every_kind_are_of_problems_in_jax(mbtl_command):
+    said = mbtl_command.refusal(*BUILD, "--kinds", "all")
+    assert "which FunctionTrainer trains; make it one (mbtl.engine.jax_problem), or" in said
+    assert "own; leave engine out" in mbtl_command.refusal(*BUILD, "--engine", "jax")
+    ours = ("matrix", "build", "cartpole-length", "--engine", "gymnasium", "--kinds", "all")
+    assert "SB3Trainer trains; choose --engine jax, or" in mbtl_command.refusal(*ours)
+
+
 @pytest.mark.parametrize(
     "record",
     [

@@ -53,16 +53,18 @@ def build_kinds(
         UnknownName: no such kind.
     """
     wanted = KINDS if kinds == ALL else tuple(kinds.split(","))
-    own = [trainer for trainer in trainers if isinstance(trainer, WorldTrainer)]
-    if len(own) < len(cmdps):
-        raise InvalidInput(
-            "trainings of every kind are built by the jax engine, got a trainer that is "
-            f"{type(trainers[len(own)]).__name__}; choose --engine jax, or leave --kinds out"
-        )
+    for cmdp, trainer in zip(cmdps, trainers, strict=True):
+        if not isinstance(trainer, WorldTrainer):
+            ours = "engine" in cmdp.settings
+            way = "choose --engine jax" if ours else "make it one (mbtl.engine.jax_problem)"
+            raise InvalidInput(
+                f"trainings of every kind need a problem in jax, got {cmdp.id!r}, which "
+                f"{type(trainer).__name__} trains; {way}, or leave --kinds out, for specialists"
+            )
     names = [cmdp.id for cmdp in cmdps]
     folder = work / FOLDER / "-and-".join(names)
     build = Kinds(
-        tuple(cmdps), tuple(own), tuple(seeds), folder, every=every, lanes=lanes, until=until
+        tuple(cmdps), tuple(trainers), tuple(seeds), folder, every=every, lanes=lanes, until=until
     )
     with bar(", ".join(names)) as tell:
 
