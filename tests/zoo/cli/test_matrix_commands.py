@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbtl.contexts import ContextSpace, Linear
+from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.problems import CMDP, Preset
 from mbtl.trainers import Trained, Trainer
 from mbtl.zoo.benchmark import TransferMatrix, load_matrix
@@ -57,8 +57,9 @@ class Kept(Trainer):
 
 kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
 
-
-OWN, KEPT = f"{__file__}:mine", f"{__file__}:kept"
+sizes = ContextSpace.grid({Linear("wind", 0, 1): 4, Categorical("size", ("small", "large")): 2})
+levels = CMDP.from_functions("levels", sizes, train=train, evaluate=evaluate)
+OWN, KEPT, LEVELS = (f"{__file__}:{name}" for name in ("mine", "kept", "levels"))
 
 
 BUILD = ("matrix", "build", OWN, "--workers", 1)
@@ -208,6 +209,8 @@ def test_every_second_context_is_a_source(mbtl_command, tmp_path):
     assert "has 2 sources and this build 4" in mbtl_command.refusal(*BUILD, "--seeds", 1)
     said = mbtl_command.refusal(*BUILD, "--seeds", 1, "--sources-every", 5)
     assert "--sources-every must be from 1" in said
+    said = mbtl_command.refusal("matrix", "build", LEVELS, "--sources-every", 4)
+    assert "got 4, which keeps none of size = large; take 5" in said
 
 
 def test_trainings_of_every_kind_are_of_problems_in_jax(mbtl_command):
