@@ -50,7 +50,12 @@ def problem_of(make_env):
     )  # fmt: skip
 
 
+class Undrawn(Tank):
+    render = gym.Env.render
+
+
 problem, blind = problem_of(Tank), problem_of(lambda context: Tank(context))
+undrawn = problem_of(Undrawn)
 TANK = f"{__file__}:problem"
 
 
@@ -81,6 +86,7 @@ def test_a_portfolio_is_played_in_the_problem_that_is_named(mbtl_command):
     ("target", "more", "words"),
     [
         (f"{__file__}:blind", ["--film", "a.gif"], "let make_env take render_mode=None"),
+        (f"{__file__}:undrawn", ["--film", "a.gif"], "got one whose render draws nothing; let it"),
         (TANK, ["--gui"], "for traffic"),
         (TANK, ["--at", "pipe=odd"], "odd"),
     ],

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from mbtl.errors import InvalidInput
 
 _RATE = 10
 """Pictures per second."""
@@ -171,7 +174,15 @@ class Watched:
         self._looks += 1
         if not (first or last) and self._looks % self._every:
             return
-        image = np.asarray(self.env.render()).copy()
+        drawn = None
+        with suppress(NotImplementedError):  # of Gymnasium, where there is no render
+            drawn = self.env.render()
+        if drawn is None:
+            raise InvalidInput(
+                "--film needs environments with render_mode='rgb_array', got one whose render "
+                "draws nothing; let it return a picture, or see the numbers: --csv FILE"
+            )
+        image = np.asarray(drawn).copy()
         sight = getattr(self.env, "sight", None)
         self.has_clock = sight is not None
         clock, speed = (float(self._looks), math.nan) if sight is None else sight
