@@ -79,6 +79,19 @@ def test_an_episode_whose_score_is_known_is_not_played_on():
     assert played == [2, 1, 2, 1, 50, 49, 48, 50, 49, 48]
 
 
+@pytest.mark.parametrize("wrap", [np.array, lambda seen: {f"x{len(seen)}": np.array(seen)}])
+def test_observations_of_several_shapes_are_told_with_their_contexts(wrap):
+    class Wide(Guess):
+        def _next(self):
+            return wrap([0.0] * self.length)
+
+    some = [Job(partial(Wide, c), [0], context=c) for c in ({"length": 2}, {"length": 3})]
+    with pytest.raises(
+        InvalidInput, match=r"\(2,\).* in {'length': 2} and .*\(3,\).* `mbtl check`"
+    ):
+        play(some, Actor(SignPolicy()), max_envs=2)
+
+
 class Team:
     agents = possible_agents = ("a", "b")
 

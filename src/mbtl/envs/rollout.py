@@ -204,7 +204,10 @@ class Actor:
         return [[next(shares) for _ in place.observations] for place in places]
 
     def _predict(self, places: Sequence[_Place], seen: Sequence[Any]) -> Any:
-        observations = _stacked(seen)
+        try:
+            observations = _stacked(seen)
+        except (KeyError, ValueError) as error:
+            raise _of_many_shapes(places, seen) from error
         extra: dict[str, Any] = {}
         if "action_masks" in self._wants:
             masks = [place.env.get_wrapper_attr("action_masks")() for place in places]
@@ -307,6 +310,22 @@ def _stacked(observations: Sequence[Any]) -> Any:
     if isinstance(observations[0], dict):
         return {key: np.stack([o[key] for o in observations]) for key in observations[0]}
     return np.stack(observations)
+
+
+def _of_many_shapes(places: Sequence[_Place], seen: Sequence[Any]) -> InvalidInput:
+    """Observations that one policy cannot see together: two of their shapes, with contexts."""
+    found = {str(_shape(one)): place.job.context for place, one in zip(places, seen, strict=True)}
+    listed = [f"{shape} in {context}" if context else shape for shape, context in found.items()]
+    return InvalidInput(
+        f"observations must have one shape in every context, got {' and '.join(listed[:2])}; let "
+        "make_env pad the shorter ones, and try `mbtl check`"
+    )
+
+
+def _shape(observation: Any) -> Any:
+    if isinstance(observation, dict):
+        return {key: np.shape(part) for key, part in observation.items()}
+    return np.shape(observation)
 
 
 def _memories(places: Sequence[_Place]) -> tuple[tuple[Any, ...] | None, Any]:
