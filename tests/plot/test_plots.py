@@ -143,9 +143,12 @@ def test_two_axes_are_a_map_of_the_policies_or_of_what_the_model_believed():
 
 def test_what_cannot_be_drawn_is_said(tmp_path):
     (tmp_path / "file").write_text("")
+    on_all = created(LINE, budget=3)
+    on_all.tell(range(N), row(LINE, 3))
     for draw, words in (
         (lambda: mbtl.plot.policy_map(study_on(PLANE, 1), over=("mass", "mass")), "two of the axe"),
         (lambda: mbtl.plot.model(study_on(LINE, 1), 0), "rows to be fitted"),
+        (lambda: mbtl.plot.model(on_all), r"of specialists .*, got none in 1 training; mb"),
         (lambda: mbtl.plot.matrix("toy.npz"), r"matrix\(mbtl.TransferMatrix.load\('toy"),
         (lambda: mbtl.plot.save(mbtl.plot.curve([0.1]), tmp_path / "file/x.png"), "another place"),
     ):

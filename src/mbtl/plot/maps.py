@@ -197,7 +197,13 @@ def model(study: Study, step: int | None = None, *, ax: Any = None) -> Any:
     k = len(history) if step is None else step
     found = outlook(study.problem, history, study.spec.selector["name"], after=k)
     if found is None:
-        raise StudyError(f"a model needs rows to be fitted to, got {k} that say nothing")
+        n = sum(history.made(i).is_specialist for i in range(k))
+        got = f"{n} that say nothing" if n else "none"
+        raise StudyError(
+            "a model needs rows to be fitted to, of specialists (whole trainings on one context, "
+            f"from scratch), got {got} in {k} training{'s' * (k != 1)}; "
+            "mbtl.plot.policy_map draws policies of every kind"
+        )
     title = f"{found.model} after {k} training{'s' * (k != 1)}"
     taken, coming = history.sources[:k], history.sources[k : k + 1]
     ax, axis = axes_for(ax, height=3.6), space.axes[0]
