@@ -229,8 +229,9 @@ class Portfolio:
             folder = self.policy_folders[i]
             if folder is None:
                 raise StorageError(
-                    f"policy {i + 1} (trained on {self.trained_on(i)}) was not saved and is no "
-                    "longer in memory; give the problem save and load functions and train it again"
+                    f"policy {i + 1} (trained on {self.trained_on(i)}) was not saved and is not in "
+                    "memory; hand it to study.tell(..., policy_object=policy), or policy=folder to "
+                    "keep it; or give the problem save and load functions and train it again"
                 )
             self._loaded[i] = load_policy(
                 Path(folder), self.policy_format, self.load, trust=self.trust
@@ -380,8 +381,8 @@ class Portfolio:
         if missing and not allow_missing:
             raise StorageError(
                 f"a saved portfolio holds its policies, but {len(missing)} of {len(self)} were "
-                "never saved; give the problem save and load functions, or pass "
-                "allow_missing=True to keep only their returns and routes"
+                "never saved; give the problem save and load functions, tell the study with "
+                "policy=folder, or pass allow_missing=True to keep only their returns and routes"
             )
         bounds = self.bounds
         record = {
