@@ -191,6 +191,7 @@ def test_a_sound_environment_passes():
     [
         (Frozen, "reset is deterministic", "another seed gives the same rollout"),
         (DeadAxisAndRandomReset, "axis 'gain' acts on the dynamics", "cannot be decided"),
+        (RandomReset, "contexts do not leak", "cannot be decided"),
     ],
 )
 def test_what_cannot_be_decided_is_a_warning(doubtful, name, detail):

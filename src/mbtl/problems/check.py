@@ -198,6 +198,7 @@ class CheckReport:
 
 
 _MOST_CORNERS = 16
+_UNDECIDED = "cannot be decided: a reset with the same seed does not repeat itself"
 _ENDING = 2000
 """Steps within which an episode of unknown length is looked for an end."""
 
@@ -358,7 +359,7 @@ class Probe:
         if len(values) < 2:
             return "warning", "it has a single value"
         if not self._repeats:
-            return "warning", "cannot be decided: a reset with the same seed does not repeat itself"
+            return "warning", _UNDECIDED
         rollouts = [self._roll({**self._base, axis: value}) for value in values]
         for value, rollout in zip(values[1:], rollouts[1:], strict=True):
             seen = difference(rollouts[0], rollout, dynamics_only=True)
@@ -384,6 +385,8 @@ class Probe:
 
     def _leaks(self) -> tuple[Outcome, str]:
         """A then B equals B alone; and both at once equal each alone."""
+        if not self._repeats:
+            return "warning", _UNDECIDED
         one, two = self._extremes()
         alone = [self._roll(one), self._roll(two)]
         again = [self._roll(one), self._roll(two)]
