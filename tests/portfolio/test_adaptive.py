@@ -82,6 +82,8 @@ def test_wrong_numbers_are_refused_and_teach_nothing():
     with pytest.raises(InvalidInput, match="finite return"):
         serving.observe(float("nan"))
     with pytest.raises(InvalidInput, match="finite return"):
+        serving.observe(None)
+    with pytest.raises(InvalidInput, match="finite return"):
         serving.observe(np.array([1.0]))
     with pytest.raises(InvalidInput, match="policy of 0 to 1"):
         serving.observe(1.0, policy=2)

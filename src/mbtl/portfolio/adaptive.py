@@ -154,7 +154,8 @@ class Adaptive:
             InvalidInput: the return is not finite, or there is no such policy.
         """
         which = self.next if policy is None else policy
-        if np.ndim(value) or not np.isfinite(value) or not 0 <= which < len(self.mean):
+        number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf"
+        if not (number and np.isfinite(value) and 0 <= which < len(self.mean)):
             raise InvalidInput(
                 f"an episode has a finite return and a policy of 0 to {len(self.mean) - 1}, "
                 f"got {value!r} of policy {which}"

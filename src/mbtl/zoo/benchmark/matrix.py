@@ -192,7 +192,8 @@ def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> 
     ):
         raise InvalidInput(
             f"contexts must be numbers of shape (N, d) with N = {n}, "
-            f"got shape {values.shape} and dtype {values.dtype}"
+            f"got shape {values.shape} and dtype {values.dtype}; for axes of categories give "
+            "TransferMatrix.of a ContextSpace as space="
         )
     values = values.astype(np.float64)
     d = values.shape[1]
