@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.cli.common import JsonFlag, console, print_json
-from mbtl.contexts import Categorical, Context, ContextSpace
+from mbtl.contexts import Categorical, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.trainers.contract import ManyTrainer
@@ -226,20 +226,15 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
 
 def _check_levels(space: ContextSpace, every: int) -> None:
     """Refuse sources without some level of a categorical axis: no other level stands for it."""
-    named = [axis.name for axis in space.axes if isinstance(axis, Categorical)]
-    found = {name: space.values(name) for name in named}
-
-    def lost(n: int) -> list[Context]:
-        pairs = ((name, level) for name in named for level in dict.fromkeys(found[name]))
-        return [{name: level} for name, level in pairs if level not in found[name][::n]]
-
-    if missed := lost(every):
-        others = (n for n in range(space.n, 0, -1) if not lost(n))
-        fits = min(others, key=lambda n: abs(n - every))
-        raise InvalidInput(
-            "--sources-every must keep a context of every level of a categorical axis, got "
-            f"{every}, which keeps none of {space.describe(missed[0])}; take {fits}"
-        )
+    for axis in space.axes:
+        values = space.values(axis.name)
+        missed = [] if not isinstance(axis, Categorical) else set(values) - set(values[::every])
+        if missed:
+            raise InvalidInput(
+                "--sources-every must keep a context of every level of a categorical axis, got "
+                f"{every}, which keeps none of {axis.name} = {min(missed)}; take another number, "
+                f"such as {every - 1}"
+            )
 
 
 def _checkpoints(checkpoint: str | None) -> tuple[str, ...]:
