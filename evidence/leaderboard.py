@@ -16,15 +16,16 @@ their own, without the selectors that need one axis.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from mbtl.episodes import student
 from mbtl.zoo.benchmark import compare, levels
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.compare import default_selectors
-from mbtl.zoo.benchmark.comparison import Comparison, Estimate, Trainings, trainings_to
+from mbtl.zoo.benchmark.comparison import SHARES, Comparison, Estimate, Trainings, trainings_to
 from mbtl.zoo.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.zoo.reproduction import published
 
@@ -37,13 +38,13 @@ SMOOTH = 2.0
 """Grid steps over which the rows of the other seeds are averaged."""
 
 
-def told(matrix_id: str, budget: int) -> np.ndarray:
-    """(levels,) mean logarithm of the trainings to each share, a level not reached as K + 1."""
+def other_seeds(matrix_id: str, budget: int) -> np.ndarray:
+    """(S, K) V of who picks by the rows of the other seeds."""
     matrix = load_by_id(matrix_id)
     shape = matrix.space.shape or (matrix.n,)
     every = np.arange(matrix.n)
     rows = np.stack([matrix.rows(s, every) for s in range(matrix.n_seeds)])
-    logs = []
+    curves = []
     for s in range(matrix.n_seeds):
         others = np.delete(rows, s, axis=0)
         best, taken = np.full(matrix.n, -np.inf), []
@@ -54,10 +55,21 @@ def told(matrix_id: str, budget: int) -> np.ndarray:
             gain[taken] = -np.inf
             taken.append(int(gain.argmax()))
             best = np.maximum(best, rows[s, taken[-1]])
-        known, curve = levels(matrix, s), measured_curve(matrix, s, taken)
-        reached = trainings_to(curve, known.grand_mean, known.oracle_transfer)
-        logs.append([np.log(budget + 1 if k is None else k) for k in reached])
-    return np.mean(logs, axis=0)
+        curves.append(measured_curve(matrix, s, taken))
+    return np.array(curves)
+
+
+def counts(curves: Mapping[str, np.ndarray], budget: int) -> list[str]:
+    """Trainings to each level, geometric means; one that is not reached counts as K + 1."""
+    logs, censored = [], np.zeros(len(SHARES), dtype=bool)
+    for matrix_id, each in curves.items():
+        known = [levels(load_by_id(matrix_id), s) for s in range(len(each))]
+        pairs = zip(each, known, strict=True)
+        found = [trainings_to(c, one.grand_mean, one.oracle_transfer) for c, one in pairs]
+        censored |= np.any([[k is None for k in reached] for reached in found], axis=0)
+        logs.append(np.mean(np.log([[k or budget + 1 for k in row] for row in found]), axis=0))
+    means = np.exp(np.mean(logs, axis=0))
+    return ["> " * bool(cut) + f"{mean:.1f}" for mean, cut in zip(means, censored, strict=True)]
 
 
 def trainings(found: Trainings, budget: int) -> str:
@@ -76,17 +88,15 @@ def closed(found: Estimate) -> str:
 
 def shares(result: Comparison, ids: Sequence[str]) -> dict[str, np.ndarray]:
     """(CMDPs,) mean share of the way under the curve, by selector; seeds as a ratio of sums."""
-    known = {i: load_by_id(i) for i in ids}
-    each: dict[str, dict[str, list[tuple[float, float]]]] = {}
-    for run in result.results:
-        level = levels(known[run.matrix], run.matrix_seed)
-        way = level.oracle_transfer - level.grand_mean
-        gone = float(np.mean(run.performance)) - level.grand_mean
-        each.setdefault(run.selector, {}).setdefault(run.matrix, []).append((gone, way))
-    return {
-        name: np.array([np.divide(*np.sum(found[i], axis=0)) for i in ids])
-        for name, found in each.items()
-    }
+    each: dict[str, list[float]] = {}
+    for i in ids:
+        matrix = load_by_id(i)
+        known = [levels(matrix, s) for s in range(matrix.n_seeds)]
+        low = np.array([one.grand_mean for one in known])
+        way = sum(one.oracle_transfer for one in known) - low.sum()
+        for name, curves in result.curves[i].items():  # of Random, the mean of all orders
+            each.setdefault(name, []).append((curves.mean(axis=1) - low).sum() / way)
+    return {name: np.array(found) for name, found in each.items()}
 
 
 def board(names: Sequence[str], ids: Sequence[str], budget: int) -> list[str]:
@@ -102,16 +112,19 @@ def board(names: Sequence[str], ids: Sequence[str], budget: int) -> list[str]:
         cells += [closed(s.closed_at_K), closed(s.closed_under_curve)]
         lead, margin = share[FIRST] - share[name], 0.0
         if len(ids) > 1:
-            margin = 1.96 * lead.std(ddof=1) / np.sqrt(len(ids))
+            margin = student(len(ids) - 1) * lead.std(ddof=1) / np.sqrt(len(ids))
         cells.append("" if name == FIRST else f"{lead.mean():+.3f} ± {margin:.3f}")
         lines.append(f"| {' | '.join(cells)} |")
     # the others' matrices tell of every context only where all were trained on
     several = [i for i in ids if (m := load_by_id(i)).n_seeds > 1 and m.sources is None]
     if several:
-        values = " | ".join(
-            f"{v:.1f}" for v in np.exp(np.mean([told(i, budget) for i in several], axis=0))
-        )
-        lines.append(f"| *the other seeds* ({len(several)} CMDPs) | {values} | | | |")
+        who = {
+            f"{FIRST} there": {i: result.curves[i][FIRST] for i in several},
+            "the other seeds": {i: other_seeds(i, budget) for i in several},
+        }
+        for name, curves in who.items():
+            values = " | ".join(counts(curves, budget))
+            lines.append(f"| *{name}* ({len(several)} CMDPs) | {values} | | | |")
     return lines
 
 

@@ -1,6 +1,7 @@
 """Comparisons: closed answers of the linear-gap world, and what a selector is shown."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -156,6 +157,24 @@ class Stuck:
 def test_what_no_study_would_take_is_refused_in_a_comparison_too(answer, match):
     with pytest.raises(InvalidInput, match=match):
         compare([Stuck(answer)], [TransferMatrix.of(np.eye(3)[None])], budget=2)
+
+
+def test_a_selector_whose_first_pick_cannot_be_is_refused_before_any_work():
+    some, steps = TransferMatrix.of(np.eye(3)[None, :2], sources=[0, 1]), []
+    for answer, match in (
+        (Proposal(2, ""), "'stuck' cannot run on matrix .* may train on, got 2 .*open_candidates"),
+        (Exhausted("enough"), "'stuck' cannot run on matrix .*: enough"),
+    ):
+        selector = SimpleNamespace(name="stuck", propose=partial(_answered, answer))
+        with pytest.raises(InvalidInput, match=match):
+            compare([selector], [some], budget=2, on_step=steps.append)
+    assert steps == []
+
+
+def _answered(answer, problem, history, rng):
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
 
 
 def test_a_file_and_the_id_of_one_matrix_are_held_out_alike(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from mbtl.errors import UnknownName
 from mbtl.zoo.benchmark.base import Levels
@@ -59,7 +60,10 @@ def test_over_matrices_the_interval_knows_that_problems_differ():
     found = result.difference("a", "b")
     assert found.pooled.V_mean.value == found.over_matrices.V_mean.value == pytest.approx(0.05)
     assert found.pooled.V_mean.high - found.pooled.V_mean.low < 1e-9  # these problems, other seeds
-    assert found.over_matrices.V_mean.low < 0.0 < found.over_matrices.V_mean.high
+    interval = found.over_matrices.V_mean
+    assert interval.low < 0.0 < interval.high
+    wide = scipy.stats.t.ppf(0.975, 3) * np.std([0.2, 0.0, 0.1, -0.1], ddof=1) / 2.0
+    assert (interval.high - interval.low) / 2.0 == pytest.approx(wide, rel=0.1)
     assert repr(found).count(" of 3") == 4  # no column is cut
     assert "6 of 12" in repr(found)
     assert "…" not in repr(found)

@@ -72,6 +72,9 @@ def test_what_cannot_be_answered_gave_nothing_and_cost_nothing():
     assert run.refused == (Training((8, 10)), Training((11,)))
     assert run.history.sources == (10,)
     assert run.units == pytest.approx([1.0])
+    first = TransferWorld(DATA, 0).history([], list(run.refused), alone=True)
+    assert (first.failed, first.given_up) == ((11,), (Training((8, 10)),))
+    assert not first.open_mask(41)[11]
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.errors import InvalidInput, UnknownName, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, UnknownName, unknown_name
 from mbtl.history import History
 from mbtl.plain import whole
-from mbtl.selectors.base import SelectionProblem
+from mbtl.selectors.base import Exhausted, SelectionProblem
 from mbtl.selectors.contract import Selector, traits_of, without_family
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
@@ -26,7 +26,7 @@ from mbtl.strategies import get_strategy
 from mbtl.zoo.benchmark.base import RowSource, measured_curve
 from mbtl.zoo.benchmark.comparison import Comparison, Run, summarise
 from mbtl.zoo.benchmark.oracle import Reference, reference
-from mbtl.zoo.benchmark.replay import replay
+from mbtl.zoo.benchmark.replay import checked_source, replay
 from mbtl.zoo.benchmark.shipped import family_of, open_matrices
 
 ORACLE = "oracle"
@@ -232,10 +232,12 @@ def _check_runnable(
             ) from refusal
 
 
-def _refusal(given: str | Selector, problem: SelectionProblem) -> InvalidInput | None:
-    """What a selector says against a problem at its first proposal; None if it runs."""
+def _refusal(given: str | Selector, problem: SelectionProblem) -> MbtlError | None:
+    """What a selector says against a problem at its first proposal, or breaks; None if it runs."""
+    selector, nothing = get_selector(given), History(problem.n)
     try:
-        get_selector(given).propose(problem, History(problem.n), np.random.default_rng(0))
-    except InvalidInput as error:
+        first = selector.propose(problem, nothing, np.random.default_rng(0))
+        checked_source(selector, problem, nothing, first)
+    except (InvalidInput, Exhausted) as error:
         return error
     return None

@@ -14,9 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.arrays import Array
+from mbtl.episodes import student
 from mbtl.errors import check_known, needs
 from mbtl.objective import k_star
 from mbtl.report.reference import REFERENCE_NAMES
+from mbtl.routing import SURE
 from mbtl.zoo.benchmark.oracle import Reference
 
 # ---- records of a comparison: numbers first, tables and figures are drawn from these ---------
@@ -389,8 +391,10 @@ def _summary(tables: Sequence[SeedTable]) -> SelectorSummary:
     )
 
 
-def estimated(statistic: Any, means: Array, resampled: Array | None) -> Estimate:
-    """A function of the (F,) means, with its interval by the (B, F) resampled ones."""
+def estimated(
+    statistic: Any, means: Array, resampled: Array | None, wider: float = 1.0
+) -> Estimate:
+    """A function of the (F,) means, with its interval by the (B, F) resampled ones, made wider."""
     value = float(statistic(means))
     low = high = None
     if resampled is not None:
@@ -398,7 +402,8 @@ def estimated(statistic: Any, means: Array, resampled: Array | None) -> Estimate
         spread = spread[np.isfinite(spread)]
         if spread.size:
             tail = (1.0 - CONFIDENCE) / 2.0
-            low, high = (float(q) for q in np.quantile(spread, [tail, 1.0 - tail]))
+            ends = np.quantile(spread, [tail, 1.0 - tail])
+            low, high = (float(value + wider * (q - value)) for q in ends)
     return Estimate(value, low, high) if np.isfinite(value) else Estimate(None, None, None)
 
 
@@ -443,7 +448,8 @@ def _matrix_summary(
 #
 # Two intervals answer two questions. Over the seeds of these matrices: would other trainings on
 # these very problems give the same? Over the matrices, each drawn with its seeds: what is to be
-# expected on another problem? The second is wider where selectors differ from problem to problem.
+# expected on another problem? The second is wider where selectors differ from problem to problem,
+# and as Student's t says for few matrices.
 
 
 _FEWEST = 3
@@ -468,17 +474,17 @@ def difference(comparison: Comparison, selector: str, against: str) -> Differenc
         against,
         {name: _lead([table], resampled_means([table])) for name, table in tables.items()},
         _lead(every, resampled_means(every)),
-        _lead(every, _over_matrices(every)),
+        _lead(every, _over_matrices(every), _few(len(every))),
     )
 
 
-def _lead(tables: Sequence[SeedTable], resampled: Array | None) -> Lead:
+def _lead(tables: Sequence[SeedTable], resampled: Array | None, wider: float = 1.0) -> Lead:
     means = np.mean([table.columns.mean(axis=0) for table in tables], axis=0)
     return Lead(
-        V_K=estimated(lambda m: m[..., V_K], means, resampled),
-        V_mean=estimated(lambda m: m[..., V_MEAN], means, resampled),
-        closed_at_K=estimated(lambda m: _closed(m, 0), means, resampled),
-        closed_under_curve=estimated(lambda m: _closed(m, 1), means, resampled),
+        V_K=estimated(lambda m: m[..., V_K], means, resampled, wider),
+        V_mean=estimated(lambda m: m[..., V_MEAN], means, resampled, wider),
+        closed_at_K=estimated(lambda m: _closed(m, 0), means, resampled, wider),
+        closed_under_curve=estimated(lambda m: _closed(m, 1), means, resampled, wider),
         per_seed=tuple(float(v) for table in tables for v in table.columns[:, V_MEAN]),
     )
 
@@ -502,6 +508,14 @@ def _over_matrices(tables: Sequence[SeedTable]) -> Array | None:
     )  # (matrices, B, F)
     drawn = rng.integers(len(tables), size=(len(tables), RESAMPLES))
     return np.asarray(each[drawn, np.arange(RESAMPLES)].mean(axis=0))
+
+
+def _few(n: int) -> float:
+    """How much wider Student's interval of the mean of n is than its bootstrap's.
+
+    Which covers 82, 89 and 93 % with 3, 5 and 10 matrices, and so 99, 97 and 96 %.
+    """
+    return student(n - 1) / SURE * float(np.sqrt(n / (n - 1))) if n >= _FEWEST else 1.0
 
 
 # ---- the whole -------------------------------------------------------------------------------

@@ -62,13 +62,26 @@ def replay(
                 f"{pick + 1} from {selector.name!r}: {error}"
             ) from error
         seconds += time.perf_counter() - start
-        check_proposal(selector, proposal, history, any_training=False)
-        source = int(proposal.source)
-        if source not in problem.sources:
-            raise InvalidInput(
-                f"a selector proposes contexts that one may train on, got {source} from "
-                f"{selector.name!r}; leave out those where problem.trainable is False"
-            )
+        source = checked_source(selector, problem, history, proposal)
         proposals.append(proposal)
         history = history.with_row(source, row_of(source))
     return Replay(history, tuple(proposals), seconds)
+
+
+def checked_source(
+    selector: Selector, problem: SelectionProblem, history: History, proposal: Proposal
+) -> int:
+    """What is proposed, where one may train there.
+
+    Raises:
+        InvalidInput: one may not, or the proposal breaks its contract.
+    """
+    check_proposal(selector, proposal, history, any_training=False)
+    source = int(proposal.source)
+    if source not in problem.sources:
+        raise InvalidInput(
+            f"a selector proposes contexts that one may train on, got {source} from "
+            f"{selector.name!r}; leave out those where problem.trainable is False "
+            "(mbtl.selectors.open_candidates)"
+        )
+    return source

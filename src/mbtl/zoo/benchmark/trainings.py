@@ -210,20 +210,21 @@ class TransferWorld:
 
     def history(self, rows: list[Row], refused: list[Training], *, alone: bool) -> History:
         """What a strategy may see; a selector of specialists alone."""
-        n = self.data.n
-        paid = sum(row.price for row in rows)
-        if not rows:
-            return History(n, given_up=tuple(refused), paid=paid)
-        deviations = np.array([row.deviation for row in rows])
         found = History(
-            n,
-            tuple(row.source for row in rows),
-            np.array([row.seen for row in rows]),
-            errors=standard_errors(deviations, [self.data.episodes[0]] * len(rows)),
-            trainings=tuple(row.training for row in rows),
+            self.data.n,
             given_up=tuple(one for one in refused if not one.is_specialist),
             failed=tuple(one.contexts[0] for one in refused if one.is_specialist),
-            paid=paid,
+            paid=sum(row.price for row in rows),
+        )
+        if not rows:
+            return found
+        deviations = np.array([row.deviation for row in rows])
+        found = replace(
+            found,
+            sources=tuple(row.source for row in rows),
+            rows=np.array([row.seen for row in rows]),
+            errors=standard_errors(deviations, [self.data.episodes[0]] * len(rows)),
+            trainings=tuple(row.training for row in rows),
         )
         return found.specialists() if alone else found
 
