@@ -131,6 +131,13 @@ def test_training_on_one_context_and_on_all_raises_the_return():
     assert problem.make_env(contexts[3]).reset(seed=0)[0][-2:].tolist() == [1.0, 1.0]
 
 
+def test_a_function_of_an_observation_plays_the_episodes_of_policies():
+    trainer, contexts = boat().trainer, AXES.contexts[:2]
+    policy = trainer.untrained(contexts[0])
+    found = trainer.measure(lambda seen: policy.predict(seen)[0], contexts, range(2))["score"]
+    np.testing.assert_allclose(found, trainer.evaluate(policy, contexts, range(2)), rtol=1e-4)
+
+
 def test_a_study_of_it_runs():
     study = mbtl.create_study(boat(), budget=1)
     study.run()

@@ -582,19 +582,23 @@ class WorldTrainer:
         names: Sequence[str] = (),
     ) -> dict[str, Array]:
         """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
+        from mbtl.envs.references import Controller, played
+        from mbtl.envs.rollout import Actor
+
         world, params = self.problem(contexts)
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         if not isinstance(policy, (str, MLPPolicy)):
+            if callable(policy) and self.simulation(contexts[0]) is not None:
+                act, make = Actor(Controller(policy)), self.simulation
+                return played(make, act, contexts, each, names, score=None, max_envs=1)[0]
             raise InvalidInput(
-                "worlds are played by policies of the engine and by ways that they name, got "
+                "worlds are played by policies of the engine, by ways that they name and, where "
+                "there is one agent in jax, by functions of an observation, got "
                 f"{type(policy).__name__}; give one of {self.ways(contexts)}"
             )
         problem: Any = self.problem
         alone = hasattr(problem, "make_env") and not hasattr(world, "measures")
         if names and alone and policy != RANDOM_ACTIONS:  # one after another
-            from mbtl.envs.references import played
-            from mbtl.envs.rollout import Actor
-
             who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
             make, score = problem.make_env, problem.score
             return played(make, who, contexts, each, names, score=score, max_envs=1)[0]
