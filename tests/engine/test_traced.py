@@ -187,6 +187,18 @@ class Endless(Boat):
 
 
 @pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"trainer_options": {"reward": "x"}}, "no reward of .* is called 'x'. There are none"),
+        ({"trainer_options": {"actions": "x"}}, "no set of actions of .* There are none"),
+    ],
+)
+def test_settings_that_cannot_be_are_one_sentence(settings, said):
+    with pytest.raises(InvalidInput, match=said):
+        boat(**settings).trainer.train(AXES.contexts[:1], 0)
+
+
+@pytest.mark.parametrize(
     ("simulator", "params", "axis", "error", "said"),
     [
         (Boat(), Sail(), mbtl.Linear("drga", 0, 1), UnknownName, "Did you mean 'drag'"),

@@ -510,7 +510,7 @@ class WorldTrainer:
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world as it teaches, and the parameters of the contexts."""
         world, params = self.problem(contexts)
-        asked = ("reward", self.reward, "rewards"), ("actions", self.actions, "lessons")
+        asked = ("reward", self.reward, "rewards"), ("set of actions", self.actions, "lessons")
         for what, name, names in asked:
             if name is not None and name not in (known := getattr(world, names, ())):
                 raise unknown_name(f"{what} of this world", name, known)
