@@ -189,6 +189,7 @@ class Endless(Boat):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
+        ({"horizon": 0}, "horizon of a simulator is 1 or more, got 0"),
         ({"trainer_options": {"reward": "x"}}, "no reward of .* is called 'x'. There are none"),
         ({"trainer_options": {"actions": "x"}}, "no set of actions of .* There are none"),
     ],

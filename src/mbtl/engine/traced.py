@@ -143,7 +143,7 @@ def jax_problem(
     extremes = [apply(given, space.context(i)) for i in sorted(ends)]
     reset, step, action, steps = _functions(env, model, given, extremes)
     axes = tuple((axis.name, isinstance(axis, Integer)) for axis in space.axes)
-    most = whole("horizon of a simulator", horizon or steps)
+    most = whole("horizon of a simulator", steps if horizon is None else horizon, 1)
     simulated = Simulated(reset, step, action, most, given, axes, apply)
     problem = JaxProblem(Solo(cast(Any, simulated)), space, show_context)
     _check_traced(problem)
