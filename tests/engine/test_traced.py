@@ -14,7 +14,7 @@ import pytest
 import mbtl
 from mbtl.engine import Box, Discrete, jax_problem
 from mbtl.engine.traced import with_fields
-from mbtl.errors import InvalidInput, UnknownName
+from mbtl.errors import InvalidInput, TrainingFailed, UnknownName
 from mbtl.problems import check_cmdp
 from mbtl.seeds import episode_seeds
 from mbtl.trainers import reference_rows
@@ -184,6 +184,20 @@ class Counting(Boat):
 
 class Endless(Boat):
     horizon = None
+
+
+class Sinking(Boat):
+    def step(self, key, state, action, params):
+        obs, new, reward, over = super().step(key, state, action, params)
+        return obs, new, jnp.where(params.drag > 0.5, jnp.nan, reward), over
+
+
+def test_trainings_that_are_lost_are_named_by_their_contexts():
+    trainer = jax_problem("x", Sinking(), Sail(), AXES, timesteps=160, trainer_options=FAST).trainer
+    with pytest.raises(TrainingFailed, match=r"policies of \{'drag': 0.9, .*\(2 in all\)"):
+        trainer.train_many(AXES.contexts, range(4))
+    with pytest.raises(TrainingFailed, match=r"by step 160; check"):
+        trainer.train(AXES.contexts[3:], 0)
 
 
 @pytest.mark.parametrize(

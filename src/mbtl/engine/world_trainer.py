@@ -302,6 +302,7 @@ class WorldTrainer:
         on_progress: OnProgress | None,
         only_best: bool,
         start: Any = None,
+        contexts: Sequence[Context] = (),
     ) -> Any:
         """Trainings as the recipe says, each on one of the contexts."""
         world, params = lessons
@@ -326,6 +327,7 @@ class WorldTrainer:
             only_best=only_best,
             weights=weights,
             saved=_saved(world, state),
+            contexts=contexts,
         )
 
     def _grow(
@@ -496,7 +498,8 @@ class WorldTrainer:
         training may need fewer of them.
         """
         lessons, activation = self._lessons(contexts), self.learner.activation
-        training = self._whole(lessons, seeds, state, on_progress, "final" not in keep)
+        best = "final" not in keep
+        training = self._whole(lessons, seeds, state, on_progress, best, contexts=contexts)
         kept = {"best": training.best, "final": training.state.weights}
         return {name: engine.export_policies(lessons[0], kept[name], activation) for name in keep}
 
