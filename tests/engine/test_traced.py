@@ -186,6 +186,11 @@ class Endless(Boat):
     horizon = None
 
 
+class Swapped(Boat):
+    def reset(self, key, params):
+        return super().reset(key, params)[::-1]
+
+
 class Sinking(Boat):
     def step(self, key, state, action, params):
         obs, new, reward, over = super().step(key, state, action, params)
@@ -204,6 +209,7 @@ def test_trainings_that_are_lost_are_named_by_their_contexts():
     ("settings", "said"),
     [
         ({"horizon": 0}, "horizon of a simulator is 1 or more, got 0"),
+        ({"trainer_options": {"eval_episode": 3}}, "Did you mean 'eval_episodes'"),
         ({"trainer_options": {"reward": "x"}}, "no reward of .* is called 'x'. There are none"),
         ({"trainer_options": {"actions": "x"}}, "no set of actions of .* There are none"),
     ],
@@ -231,6 +237,7 @@ def test_settings_that_cannot_be_are_one_sentence(settings, said):
         (Branching(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, r"test_traced.py:\d+: Att"),
         (Endless(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "whole number, got None"),
         (Counting(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "keep their shapes"),
+        (Swapped(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, r"reset gives \(observation"),
         (object(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "reset, step, action, hor"),
         (Boat(), None, mbtl.Linear("drag", 0, 1), UnknownName, "'drag'"),
     ],
