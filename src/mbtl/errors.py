@@ -111,7 +111,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") 
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f" Did you mean {near[0]!r}?" if near else ""
-    where = f" {hint}" if hint else f" Known: {', '.join(names)}."
+    where = f" {hint}" if hint else f" Known: {', '.join(names)}." if names else " There are none."
     return UnknownName(f"no {kind} is called {name!r}.{guess}{where}")
 
 

@@ -14,7 +14,7 @@ import pytest
 import mbtl
 from mbtl.engine import Box, Discrete, jax_problem
 from mbtl.engine.traced import with_fields
-from mbtl.errors import InvalidInput, UnknownName
+from mbtl.errors import InvalidInput, TrainingFailed, UnknownName
 from mbtl.problems import check_cmdp
 from mbtl.seeds import episode_seeds
 from mbtl.trainers import reference_rows
@@ -131,6 +131,13 @@ def test_training_on_one_context_and_on_all_raises_the_return():
     assert problem.make_env(contexts[3]).reset(seed=0)[0][-2:].tolist() == [1.0, 1.0]
 
 
+def test_a_function_of_an_observation_plays_the_episodes_of_policies():
+    trainer, contexts = boat().trainer, AXES.contexts[:2]
+    policy = trainer.untrained(contexts[0])
+    found = trainer.measure(lambda seen: policy.predict(seen)[0], contexts, range(2))["score"]
+    np.testing.assert_allclose(found, trainer.evaluate(policy, contexts, range(2)), rtol=1e-4)
+
+
 def test_a_study_of_it_runs():
     study = mbtl.create_study(boat(), budget=1)
     study.run()
@@ -179,6 +186,39 @@ class Endless(Boat):
     horizon = None
 
 
+class Swapped(Boat):
+    def reset(self, key, params):
+        return super().reset(key, params)[::-1]
+
+
+class Sinking(Boat):
+    def step(self, key, state, action, params):
+        obs, new, reward, over = super().step(key, state, action, params)
+        return obs, new, jnp.where(params.drag > 0.5, jnp.nan, reward), over
+
+
+def test_trainings_that_are_lost_are_named_by_their_contexts():
+    trainer = jax_problem("x", Sinking(), Sail(), AXES, timesteps=160, trainer_options=FAST).trainer
+    with pytest.raises(TrainingFailed, match=r"policies of \{'drag': 0.9, .*\(2 in all\)"):
+        trainer.train_many(AXES.contexts, range(4))
+    with pytest.raises(TrainingFailed, match=r"by step 160; check"):
+        trainer.train(AXES.contexts[3:], 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"horizon": 0}, "horizon of a simulator is 1 or more, got 0"),
+        ({"trainer_options": {"eval_episode": 3}}, "Did you mean 'eval_episodes'"),
+        ({"trainer_options": {"reward": "x"}}, "no reward of .* is called 'x'. There are none"),
+        ({"trainer_options": {"actions": "x"}}, "no set of actions of .* There are none"),
+    ],
+)
+def test_settings_that_cannot_be_are_one_sentence(settings, said):
+    with pytest.raises(InvalidInput, match=said):
+        boat(**settings).trainer.train(AXES.contexts[:1], 0)
+
+
 @pytest.mark.parametrize(
     ("simulator", "params", "axis", "error", "said"),
     [
@@ -197,6 +237,7 @@ class Endless(Boat):
         (Branching(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, r"test_traced.py:\d+: Att"),
         (Endless(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "whole number, got None"),
         (Counting(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "keep their shapes"),
+        (Swapped(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, r"reset gives \(observation"),
         (object(), Sail(), mbtl.Linear("drag", 0, 1), InvalidInput, "reset, step, action, hor"),
         (Boat(), None, mbtl.Linear("drag", 0, 1), UnknownName, "'drag'"),
     ],

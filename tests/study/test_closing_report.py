@@ -219,6 +219,7 @@ def test_a_region_that_never_plays_is_no_sample_of_the_others():
     assert fresh.gain_margin > 2.5 * noise
     said = fresh_episodes(summarise_study(study))
     assert "each of 14 of the 20 contexts (6 more gave none)" in said
+    assert said.endswith("contexts that gave none count as estimated")
     playing.clear()
     study.run(lambda context, seed: context["x"], counted, report="all")
     assert playing == []  # they were tried

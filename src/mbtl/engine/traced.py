@@ -15,7 +15,7 @@ from __future__ import annotations
 from mbtl.engine.worlds import flags as flags  # isort: skip  # first: it starts jax
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from traceback import extract_tb
@@ -31,7 +31,7 @@ from mbtl.contexts import Categorical, Context, ContextSpace, Integer
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.engine.worlds import Box, Discrete, Solo, Step, stack_params
 from mbtl.engine.worlds.one import OneSimulation
-from mbtl.errors import InvalidInput, few, unknown_name
+from mbtl.errors import InvalidInput, check_known, few, unknown_name
 from mbtl.plain import short, whole
 from mbtl.problems import CMDP, Preset
 
@@ -143,11 +143,13 @@ def jax_problem(
     extremes = [apply(given, space.context(i)) for i in sorted(ends)]
     reset, step, action, steps = _functions(env, model, given, extremes)
     axes = tuple((axis.name, isinstance(axis, Integer)) for axis in space.axes)
-    most = whole("horizon of a simulator", horizon or steps)
+    most = whole("horizon of a simulator", steps if horizon is None else horizon, 1)
     simulated = Simulated(reset, step, action, most, given, axes, apply)
     problem = JaxProblem(Solo(cast(Any, simulated)), space, show_context)
     _check_traced(problem)
     options = {"eval_episodes": 10, "checkpoint": "final", **(trainer_options or {})}
+    for name in options:
+        check_known("trainer option", name, [one.name for one in fields(WorldTrainer)[2:]])
     trainer = WorldTrainer(problem, timesteps=timesteps, **options)
     shown = {"visibility": "cube" if show_context else "hidden"}
     record["settings"] = {**shown, **record.get("settings", {})}
@@ -267,14 +269,14 @@ def _check_traced(problem: JaxProblem) -> None:
     try:
         world, params = problem([problem.space.context(0)])
         jax.eval_shape(lambda: jax.lax.scan(one, world.start(seeds, params), jnp.arange(2)))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError) as error:
         frames = [at for at in extract_tb(error.__traceback__) if "-packages" not in at.filename]
         own = [f"{at.filename}:{at.lineno}" for at in frames if not at.filename.startswith(_OURS)]
         where = f" at {own[-1]}" if own else ""
         raise InvalidInput(
-            "jax traces a simulator: no Python `if` on its numbers (jnp.where instead), and states "
-            f"and observations keep their shapes and types; got one of which it says{where}: "
-            f"{' '.join(str(error).split())[:300]}"
+            "jax traces a simulator: no Python `if` on its numbers (jnp.where instead); reset "
+            "gives (observation, state), which keep their shapes and types; got one that fails"
+            f"{where}: {' '.join(str(error).split())[:300]}"
         ) from error
 
 

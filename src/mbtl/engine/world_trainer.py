@@ -302,6 +302,7 @@ class WorldTrainer:
         on_progress: OnProgress | None,
         only_best: bool,
         start: Any = None,
+        contexts: Sequence[Context] = (),
     ) -> Any:
         """Trainings as the recipe says, each on one of the contexts."""
         world, params = lessons
@@ -326,6 +327,7 @@ class WorldTrainer:
             only_best=only_best,
             weights=weights,
             saved=_saved(world, state),
+            contexts=contexts,
         )
 
     def _grow(
@@ -496,7 +498,8 @@ class WorldTrainer:
         training may need fewer of them.
         """
         lessons, activation = self._lessons(contexts), self.learner.activation
-        training = self._whole(lessons, seeds, state, on_progress, "final" not in keep)
+        best = "final" not in keep
+        training = self._whole(lessons, seeds, state, on_progress, best, contexts=contexts)
         kept = {"best": training.best, "final": training.state.weights}
         return {name: engine.export_policies(lessons[0], kept[name], activation) for name in keep}
 
@@ -510,7 +513,7 @@ class WorldTrainer:
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world as it teaches, and the parameters of the contexts."""
         world, params = self.problem(contexts)
-        asked = ("reward", self.reward, "rewards"), ("actions", self.actions, "lessons")
+        asked = ("reward", self.reward, "rewards"), ("set of actions", self.actions, "lessons")
         for what, name, names in asked:
             if name is not None and name not in (known := getattr(world, names, ())):
                 raise unknown_name(f"{what} of this world", name, known)
@@ -582,19 +585,23 @@ class WorldTrainer:
         names: Sequence[str] = (),
     ) -> dict[str, Array]:
         """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
+        from mbtl.envs.references import Controller, played
+        from mbtl.envs.rollout import Actor
+
         world, params = self.problem(contexts)
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         if not isinstance(policy, (str, MLPPolicy)):
+            if callable(policy) and self.simulation(contexts[0]) is not None:
+                act, make = Actor(Controller(policy)), self.simulation
+                return played(make, act, contexts, each, names, score=None, max_envs=1)[0]
             raise InvalidInput(
-                "worlds are played by policies of the engine and by ways that they name, got "
+                "worlds are played by policies of the engine, by ways that they name and, where "
+                "there is one agent in jax, by functions of an observation, got "
                 f"{type(policy).__name__}; give one of {self.ways(contexts)}"
             )
         problem: Any = self.problem
         alone = hasattr(problem, "make_env") and not hasattr(world, "measures")
         if names and alone and policy != RANDOM_ACTIONS:  # one after another
-            from mbtl.envs.references import played
-            from mbtl.envs.rollout import Actor
-
             who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
             make, score = problem.make_env, problem.score
             return played(make, who, contexts, each, names, score=score, max_envs=1)[0]

@@ -228,7 +228,8 @@ def fresh_episodes(summary: StudySummary) -> str:
         where = f"in each of {played} of the {summary.n_contexts} contexts"
         where += f" ({summary.fresh_lost} more gave none)" * bool(summary.fresh_lost)
     often = _range((summary.fresh_fewest or count, count))
-    return f"{often} fresh episode{'s' * (count > 1)} {where}, which chose nothing"
+    lost = "; contexts that gave none count as estimated" * bool(summary.fresh_lost)
+    return f"{often} fresh episode{'s' * (count > 1)} {where}, which chose nothing{lost}"
 
 
 def _with_margin(value: float, margin: float | None) -> str:

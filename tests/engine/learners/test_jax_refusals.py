@@ -44,6 +44,7 @@ LOST = {"log_std": np.array([[0.0], [np.nan]])}
         (lambda: DQN(learning_rate="1e-3"), InvalidInput, "learning_rate must be a number >= 0"),
         (lambda: replace(PPO, learning_rate=-1.0), InvalidInput, "number >= 0, got -1"),
         (lambda: replace(PPO, gamma=float("nan")), InvalidInput, "gamma must be a number >= 0"),
+        (lambda: replace(PPO, gamma=2), InvalidInput, "gamma must be a .* >= 0 and <= 1, got 2"),
         (lambda: replace(PPO, hidden=(0, 64)), InvalidInput, "hidden must be >= 1, got 0"),
         (lambda: replace(PPO, hidden=None), InvalidInput, "hidden must be a whole number"),
         (lambda: worlds.Solo(Idle()), InvalidInput, "idle of Idle is an action, a whole"),

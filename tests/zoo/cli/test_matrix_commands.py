@@ -85,6 +85,7 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, tmp_path):
     assert record["problem"] == "cartpole-length"
     assert record["evaluation_seeds"] == matrix.evaluation_seeds == "per target"
     assert "evaluation seeds per target" in err
+    assert "random policy 0.8750, Independent 1.0000" in err
 
 
 def test_an_interrupted_build_goes_on(mbtl_command, tmp_path):

@@ -6,7 +6,7 @@ it with the same result as if it had not been.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.worlds.environments import Tree
-from mbtl.errors import StorageError, TrainingFailed
+from mbtl.errors import StorageError, TrainingFailed, few
 
 T = TypeVar("T")
 
@@ -80,8 +80,8 @@ def keep_better(training: Training, latest: jax.Array) -> Training:
     )
 
 
-def check_finite(weights: Tree, step: int) -> None:
-    """Refuse to go on with weights that are lost.
+def check_finite(weights: Tree, step: int, contexts: Sequence[Any] = ()) -> None:
+    """Refuse to go on with weights that are lost, and say of which contexts where those are told.
 
     Raises:
         TrainingFailed: one of the (P,) policies has weights that are not finite.
@@ -89,10 +89,11 @@ def check_finite(weights: Tree, step: int) -> None:
     finite = np.asarray(_finite(weights))
     if not finite.all():
         bad = np.flatnonzero(~finite)
+        names = [f"of {contexts[i]}" if contexts else str(i) for i in bad.tolist()]
+        which = f" in policies {few(names, 10)} ({len(bad)} in all)" * (len(finite) > 1)
         raise TrainingFailed(
-            f"training must keep finite weights, got NaN or infinity by step {step} in policies "
-            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); check that rewards and "
-            "observations are finite in all contexts, or lower the learning rate"
+            f"training must keep finite weights, got NaN or infinity by step {step}{which}; check "
+            "that rewards and observations are finite in all contexts, or lower the learning rate"
         )
 
 

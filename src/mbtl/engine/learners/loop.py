@@ -70,6 +70,7 @@ def train(
     saved: SavedTraining | None = None,
     judging: bool = True,
     pace: Pace | None = None,
+    contexts: Sequence[Any] = (),
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
 
@@ -103,6 +104,7 @@ def train(
             states mean nothing in another process (`storable`), only at the end.
         judging: evaluate on the way. Without, `best` and its returns mean nothing.
         pace: what schedules follow; None: `length`, where the recipe's rate falls at all.
+        contexts: P of them, for the words of an error; (): not known.
 
     Returns:
         Final and best weights.
@@ -151,7 +153,7 @@ def train(
             actor = actor_of(training.state.weights)
             found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
             training = blocks.keep_better(training, found.mean(axis=1))
-        blocks.check_finite(training.state.weights, (done + count) * unit)
+        blocks.check_finite(training.state.weights, (done + count) * unit, contexts)
         tell(training)
         if saved is not None and getattr(world, "storable", True):
             saved.save(training)

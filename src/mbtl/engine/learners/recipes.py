@@ -22,6 +22,8 @@ _FREE = ("learning_starts",)
 """Whole numbers of recipes that may be 0."""
 _SIGNED = ("log_std", "entropy_coef")
 """Numbers of recipes that may be below 0."""
+_SHARES = ("gamma", "gae_lambda")
+"""Numbers of recipes that may not be above 1."""
 
 
 def check_lengths(**counts: int) -> None:
@@ -65,8 +67,10 @@ class Learner:
                     raise InvalidInput(f"{name} must be >= {least}, got {value}")
             elif one.type == "float":
                 lowest = -math.inf if name in _SIGNED else 0.0
-                if not (isinstance(value, Real) and float(value) >= lowest):
-                    raise InvalidInput(f"{name} must be a number >= {lowest:g}, got {short(value)}")
+                most = 1.0 if name in _SHARES else math.inf
+                if not (isinstance(value, Real) and lowest <= float(value) <= most):
+                    rule = f"a number >= {lowest:g}" + " and <= 1" * (name in _SHARES)
+                    raise InvalidInput(f"{name} must be {rule}, got {short(value)}")
 
     @property
     def record(self) -> dict[str, object]:

@@ -38,7 +38,8 @@ class OneSimulation(Env):  # type: ignore[misc]  # gymnasium is untyped for our 
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One step."""
-        moved = _step(self._world, self._state, np.asarray(action)[None, None], self._params)
+        acts = np.reshape(action, (1, 1, *self.action_space.shape))
+        moved = _step(self._world, self._state, acts, self._params)
         self._state, self._left = moved.state, self._left - 1
         return self._seen(), moved.reward.item(), moved.done.item(), self._left <= 0, {}
 

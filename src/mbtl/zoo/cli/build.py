@@ -215,7 +215,7 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
     note = f"; evaluation seeds {matrix.evaluation_seeds}"
     note += "" if matrix.caveat is None else f"; {matrix.caveat}"
     console.print(
-        f"{file}: one policy {known.grand_mean:.4f}, Independent {known.independent:.4f}, "
+        f"{file}: random policy {known.grand_mean:.4f}, Independent {known.independent:.4f}, "
         f"Oracle Transfer {known.oracle_transfer:.4f}{note}",
         markup=False,
         highlight=False,
