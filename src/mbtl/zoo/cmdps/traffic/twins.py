@@ -47,14 +47,10 @@ class RingProblem:
         Raises:
             ContextMismatch: a hold is no whole number of simulation steps.
         """
-        from mbtl.engine.worlds.environments import Box, Discrete
         from mbtl.zoo.worlds.traffic.idm import IDM
         from mbtl.zoo.worlds.traffic.ring import RingTwin
 
-        advisory.check_seen(self.obs)
-        speeds = self.actions == "speed"
         twin = RingTwin(
-            action=Discrete(ring.LEVELS) if speeds else Box((-1.0,), (1.0,)),
             cars=ring.CARS,
             circumference=ring.CIRCUMFERENCE,
             car_length=advisory.LENGTH,
@@ -62,20 +58,10 @@ class RingProblem:
             advised_min_gap=ring.CLOSEST,
             driver=IDM(advisory.ACCEL, advisory.DECEL, advisory.TAU),
             road_limit=advisory.ROAD_LIMIT,
-            max_speed=advisory.MAX_SPEED,
-            speed_factor=advisory.SPEED_SPREAD,
-            noise=self.noise,
             dt=advisory.STEP,
-            warm_up=advisory.WARM_UP,
-            unmeasured=advisory.UNMEASURED,
-            total_steps=advisory.UNMEASURED + advisory.MEASURED,
             reach=ring.REACH,
-            top_speed=ring.TOP_SPEED,
-            collision=ring.COLLISION,
-            scale=ring.SCALE,
-            time_limit=self.time_limit,
-            stale=self.obs == "stale",
             uniform=self.start == "uniform",
+            **_advised(self, ring),
         )
         return twin, _holds(contexts, ring.Ring.FEATURES, self.unit, self.visibility)
 
@@ -204,7 +190,6 @@ class RampProblem:
         Raises:
             ContextMismatch: a hold is no whole number of simulation steps.
         """
-        from mbtl.engine.worlds.environments import Box, Discrete
         from mbtl.zoo.cmdps.traffic import ramp
         from mbtl.zoo.worlds.traffic.idm import IDM
         from mbtl.zoo.worlds.traffic.ramp import Drivers, Flow, RampTwin, Roads
@@ -217,8 +202,6 @@ class RampProblem:
             )
             return Flow(first, every, patience, demand.speed)
 
-        advisory.check_seen(self.obs)
-        speeds = self.actions == "speed"
         roads = Roads(
             main=ramp.MAIN,
             side=ramp.RAMP,
@@ -228,7 +211,6 @@ class RampProblem:
             limit=advisory.ROAD_LIMIT,
         )
         twin = RampTwin(
-            action=Discrete(ramp.LEVELS) if speeds else Box((-1.0,), (1.0,)),
             roads=roads,
             drivers=Drivers(
                 model=IDM(advisory.ACCEL, advisory.DECEL, advisory.TAU),
@@ -240,21 +222,32 @@ class RampProblem:
             ),
             flows=(flow("main"), flow("ramp")),
             every=ramp.EVERY,
-            max_speed=advisory.MAX_SPEED,
-            speed_factor=advisory.SPEED_SPREAD,
-            noise=self.noise,
-            warm_up=advisory.WARM_UP,
-            unmeasured=advisory.UNMEASURED,
-            total_steps=advisory.UNMEASURED + advisory.MEASURED,
             push=(ramp.SPEED_UP, ramp.SLOW_DOWN),
-            top_speed=ramp.TOP_SPEED,
-            collision=ramp.COLLISION,
-            scale=ramp.SCALE,
             agents=ramp.Ramp.most_agents,
-            time_limit=self.time_limit,
-            stale=self.obs == "stale",
+            **_advised(self, ramp),
         )
         return twin, _holds(contexts, ramp.Ramp.FEATURES, self.unit, self.visibility)
+
+
+def _advised(problem: RingProblem | RampProblem, road: Any) -> dict[str, Any]:
+    """What the twins of both roads with advised drivers share; `road` is the module of one."""
+    from mbtl.engine.worlds.environments import Box, Discrete
+
+    advisory.check_seen(problem.obs)
+    return {
+        "action": Discrete(road.LEVELS) if problem.actions == "speed" else Box((-1.0,), (1.0,)),
+        "max_speed": advisory.MAX_SPEED,
+        "speed_factor": advisory.SPEED_SPREAD,
+        "noise": problem.noise,
+        "warm_up": advisory.WARM_UP,
+        "unmeasured": advisory.UNMEASURED,
+        "total_steps": advisory.UNMEASURED + advisory.MEASURED,
+        "top_speed": road.TOP_SPEED,
+        "collision": road.COLLISION,
+        "scale": road.SCALE,
+        "time_limit": problem.time_limit,
+        "stale": problem.obs == "stale",
+    }
 
 
 @dataclass(frozen=True)
