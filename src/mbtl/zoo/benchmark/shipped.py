@@ -333,6 +333,11 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
             opened += _lines()
         elif isinstance(name, (str, Path)):
             opened.append((str(name), open_matrix(name)))
+        elif not hasattr(name, "problem"):
+            raise InvalidInput(
+                "a matrix is a path, an id or a TransferMatrix; transfer data are for "
+                f"replay_trainings, got {type(name).__name__}"
+            )
         else:
             opened.append((name.name, name))
     if not opened:

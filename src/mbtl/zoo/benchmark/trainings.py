@@ -129,6 +129,8 @@ class TransferWorld:
         Raises:
             InvalidInput: there is no such seed, or ability.
         """
+        if not isinstance(data, TransferData):
+            raise InvalidInput(f"data are those of load_transfers(id), got {short(data)}")
         seeds = len(data.specialists)
         if not 0 <= whole("seed", seed) < seeds:
             raise InvalidInput(f"seed is an index from 0 to {seeds - 1}, got {seed}")
@@ -247,6 +249,8 @@ def replay_trainings(
             the seed is no whole number.
     """
     budget, seed = whole("budget", budget), whole("seed", seed)
+    if not isinstance(world, TransferWorld):
+        raise InvalidInput(f"world is TransferWorld(data, seed), got {short(world)}")
     chosen = held_out(get_strategy(strategy), world.data.name)
     alone = not traits_of(chosen).any_training
     problem = world.problem(budget, any_training=not alone)

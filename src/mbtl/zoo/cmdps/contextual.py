@@ -25,6 +25,14 @@ from mbtl.errors import ContextMismatch, InvalidInput, check_known, unknown_name
 Visibility = Literal["hidden", "multiplier", "raw"]
 TimeLimit = Literal["truncation", "terminal"]
 Observation = NDArray[np.float32]
+Stepped = tuple[
+    dict[str, Observation],
+    dict[str, float],
+    dict[str, bool],
+    dict[str, bool],
+    dict[str, dict[str, Any]],
+]
+"""What a PettingZoo environment gives for a step: of each agent what it sees, its reward, ..."""
 
 VISIBILITIES: tuple[Visibility, ...] = ("hidden", "multiplier", "raw")
 TIME_LIMITS: tuple[TimeLimit, ...] = ("truncation", "terminal")

@@ -66,7 +66,7 @@ from mbtl.canvas import Window
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput, check_known
 from mbtl.sumo import network
-from mbtl.zoo.cmdps.contextual import Observation
+from mbtl.zoo.cmdps.contextual import Observation, Stepped
 from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam
 
 # ---- emissions: CO2 of a car from its speed and acceleration, after VT-CPFM (cmdp-spec, 6.3) -
@@ -618,15 +618,7 @@ class Eco(TrafficTeam):
             self._end(api)
         return seen, {car: {} for car in self.agents}
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: Mapping[str, Any]) -> Stepped:
         """Accelerate the agents for one step.
 
         A car without an action drives by itself, so that `step({})` is traffic without control. An

@@ -26,7 +26,7 @@ import numpy as np
 
 from mbtl.contexts import Value
 from mbtl.sumo import network
-from mbtl.zoo.cmdps.contextual import Observation
+from mbtl.zoo.cmdps.contextual import Observation, Stepped
 from mbtl.zoo.cmdps.traffic import advisory
 from mbtl.zoo.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
 from mbtl.zoo.cmdps.traffic.simulation import Settings, TrafficTeam
@@ -138,15 +138,7 @@ class Ramp(TrafficTeam):
             self._look(api)
         return {car: self._seen[car] for car in self.agents}, {car: {} for car in self.agents}
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: Mapping[str, Any]) -> Stepped:
         """Follow one instruction per advised car for the hold.
 
         An agent that leaves the road within the hold is terminated; one that enters drives by
