@@ -679,6 +679,23 @@ def test_each_try_of_a_training_is_paid_where_costs_are_known():
         study.ask()
 
 
+@pytest.mark.parametrize("total", [1.0, 3.0])
+def test_a_try_that_the_cost_no_longer_pays_for_is_made_all_the_same_as_in_steps(total):
+    tries = []
+
+    def train(context, seed):
+        tries.append(seed)
+        if len(tries) == total:
+            raise RuntimeError("by chance")
+        return 0.5
+
+    trainer = mbtl.trainers.FunctionTrainer(train, lambda policy, contexts: [policy] * N)
+    study = mbtl.create_study(SPACE, budget=mbtl.Cost(total, np.ones(N)), strategy="kmeans")
+    run(study, trainer, retries=1)
+    assert (len(study.state.rows), study.state.open_picks) == (total, {})
+    assert study.state.spent_words() == f"cost {total + 1:g} of {total:g}"
+
+
 def test_what_is_under_way_counts_where_costs_are_only_told():
     study = mbtl.create_study(SPACE, budget=mbtl.Cost(3.5), strategy="all-first")
     study.equip(mbtl.trainers.FunctionTrainer(Simulator().train, Simulator().evaluate))

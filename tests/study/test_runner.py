@@ -241,6 +241,9 @@ def test_who_gives_no_budget_goes_on_with_the_one_that_was_raised(tmp_path):
     again = {"storage": tmp_path / "study.db", "load_if_exists": True}
     made = [problem.study(budget=one, **again).spec.budget for one in budgets]
     assert made == [3, 5, 5]
+    for name, other in (("c", mbtl.Cost(7.0)), ("s", mbtl.Steps(1000, unit=100, horizon=5))):
+        sizes = [problem.study(budget=b, name=name, **again).spec.size for b in (other, None)]
+        assert sizes[0] == sizes[1]
     with pytest.raises(StudyMismatch, match="budget was 5, got 3"):
         problem.study(budget=3, **again)
 

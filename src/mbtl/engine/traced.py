@@ -149,7 +149,8 @@ def jax_problem(
     _check_traced(problem)
     options = {"eval_episodes": 10, "checkpoint": "final", **(trainer_options or {})}
     for name in options:
-        check_known("trainer option", name, [one.name for one in fields(WorldTrainer)[2:]])
+        known = {one.name for one in fields(WorldTrainer)} - {"problem", "timesteps"}
+        check_known("trainer option", name, known)
     trainer = WorldTrainer(problem, timesteps=timesteps, **options)
     shown = {"visibility": "cube" if show_context else "hidden"}
     record["settings"] = {**shown, **record.get("settings", {})}

@@ -603,7 +603,7 @@ class WorldTrainer:
         alone = hasattr(problem, "make_env") and not hasattr(world, "measures")
         if names and alone and policy != RANDOM_ACTIONS:  # one after another
             who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
-            make, score = problem.make_env, problem.score
+            make, score = problem.make_env, getattr(problem, "score", None)
             return played(make, who, contexts, each, names, score=score, max_envs=1)[0]
         if isinstance(policy, str):
             found = engine.measured(world, None, params, each, way=policy)

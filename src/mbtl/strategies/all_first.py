@@ -61,7 +61,7 @@ def on_all(problem: SelectionProblem, history: History, *, again: bool = False) 
     vain = [one for one in history.given_up if one.contexts == everyone]
     if not vain:
         return first
-    if not again or length is None or len(vain) > 1:
+    if not again or length is None or len(vain) > 1 or vain[0].start is not None:
         return None
     note = "the policy for all contexts gave nothing: half as long once more"
     return replace(first, length=vain[0].length / 2.0, notes=(note,))

@@ -158,7 +158,14 @@ def _early_stop(state: StudyState) -> str | None:
                 return f"{within} there can be, {most:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
-    if spec.costs is not None and state.cost_left < 0.0 and given_back(state):
+    if (
+        spec.costs is not None
+        and state.cost_left < 0.0
+        and any(
+            not state.picks[number].retries
+            for number in given_back(state)  # else it was begun
+        )
+    ):
         return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
 

@@ -89,8 +89,8 @@ def create_study(
     Args:
         problem: a CMDP, which says what belongs to it: contexts, budget, bounds, direction, trainer
             and recipe (`CMDP.recipe` chooses another one); or a bare `ContextSpace`.
-        budget: number of trainings; or `Steps` or a `Cost`; None: the problem's, or that of the
-            study that goes on.
+        budget: number of trainings; or `Steps` or a `Cost`; None: the problem's, or that of a
+            study that goes on, where it is larger, or no number.
         strategy: what to train next: a name such as "auto", "mbtl", "all-first"; "my_file.py:Mine";
             or an object with `propose`.
         objective: what V is; None: as the problem has it.
@@ -147,8 +147,8 @@ def create_study(
                 f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
                 "to go on with it, or choose another name"
             ) from None
-        if budget is None and spec.in_units and study.spec.in_units:  # it may have been raised
-            spec = replace(spec, budget=max(spec.budget, study.spec.budget))
+        if budget is None:
+            spec = _as_large(spec, study.spec)
         _check_same(study.state, spec, name)
         if _sizes(spec) > _sizes(study.spec):
             total = Cost(spec.cost_budget, None, spec.budget) if spec.cost_budget else spec.budget
@@ -157,6 +157,14 @@ def create_study(
             study.end_as(spec)
         return study
     return Study(log, chosen, folder=folder, name=name, **known)
+
+
+def _as_large(spec: StudySpec, stored: StudySpec) -> StudySpec:
+    """With the budget of the stored study, which may be raised; of two numbers the larger."""
+    if stored.in_units:
+        return replace(spec, budget=max(spec.budget, stored.budget))
+    names = ("budget", "steps", "unit", "horizon", "target_steps", "cost_budget", "costs")
+    return replace(spec, **{name: getattr(stored, name) for name in names})
 
 
 def _sizes(spec: StudySpec) -> tuple[float, ...]:

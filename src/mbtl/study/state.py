@@ -181,7 +181,8 @@ class StudyState:
         if self.spec.costs is None:
             return self.cost
         vain = sum(self.usual_cost(self.picks[failure.pick]) for failure in self.failures)
-        return self.cost + vain + sum(self.usual_cost(pick) * pick.retries for pick in self.picks)
+        again = (self.usual_cost(pick) * pick.retries for pick in self.picks if pick.retries)
+        return self.cost + vain + sum(again)
 
     @property
     def cost_left(self) -> float:

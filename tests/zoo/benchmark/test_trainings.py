@@ -119,9 +119,9 @@ def test_a_replay_that_cannot_be_is_refused(how, words):
 
 
 def test_data_worlds_and_matrices_that_are_mixed_up_are_refused_in_words():
-    with pytest.raises(InvalidInput, match="load_transfers.id., got 'pendulum-mass'"):
+    with pytest.raises(InvalidInput, match=r"load_transfers.id., got 'pendulum-mass'"):
         TransferWorld("pendulum-mass", 0)
-    with pytest.raises(InvalidInput, match="world is TransferWorld.data, seed., got Transfer"):
+    with pytest.raises(InvalidInput, match=r"world is TransferWorld.data, seed., got Transfer"):
         replay_trainings("auto", DATA, 3)
     with pytest.raises(InvalidInput, match="for replay_trainings, got TransferData"):
         mbtl.compare(["random"], [DATA])

@@ -211,7 +211,7 @@ def test_every_second_context_is_a_source(mbtl_command, tmp_path):
     said = mbtl_command.refusal(*BUILD, "--seeds", 1, "--sources-every", 5)
     assert "--sources-every must be from 1" in said
     said = mbtl_command.refusal("matrix", "build", LEVELS, "--sources-every", 4)
-    assert "got 4, which keeps none of size = large; take another number, such as 3" in said
+    assert "got 4, which keeps none of size = large; take 3" in said
 
 
 def test_trainings_of_every_kind_are_of_problems_in_jax(mbtl_command):

@@ -74,7 +74,7 @@ def compare(
         UnknownName: a matrix or selector has no such name.
         InvalidInput: a matrix is unusable, the budget or number of seeds is out of range, a name
             comes twice, or a selector refuses a matrix (greedy and equidistant need one axis), or
-            proposes a context again.
+            proposes nothing, a context again, or one that nobody may train on.
     """
     budget, seeds = whole("budget", budget), whole("seeds", seeds)
     if seeds < 1:

@@ -224,17 +224,22 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
     return record
 
 
-def _check_levels(space: ContextSpace, every: int) -> None:
-    """Refuse sources without some level of a categorical axis: no other level stands for it."""
+def _lost(space: ContextSpace, every: int) -> str | None:
+    """A level of a categorical axis that none of the sources has."""
     for axis in space.axes:
         values = space.values(axis.name)
-        missed = [] if not isinstance(axis, Categorical) else set(values) - set(values[::every])
-        if missed:
-            raise InvalidInput(
-                "--sources-every must keep a context of every level of a categorical axis, got "
-                f"{every}, which keeps none of {axis.name} = {min(missed)}; take another number, "
-                f"such as {every - 1}"
-            )
+        if isinstance(axis, Categorical) and (lost := set(values) - set(values[::every])):
+            return f"{axis.name} = {min(lost)}"
+    return None
+
+
+def _check_levels(space: ContextSpace, every: int) -> None:
+    if lost := _lost(space, every):
+        fits = max(n for n in range(1, every) if not _lost(space, n))
+        raise InvalidInput(
+            "--sources-every must keep a context of every level of a categorical axis, got "
+            f"{every}, which keeps none of {lost}; take {fits}"
+        )
 
 
 def _checkpoints(checkpoint: str | None) -> tuple[str, ...]:
