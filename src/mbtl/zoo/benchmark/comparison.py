@@ -14,11 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.arrays import Array
-from mbtl.episodes import student
 from mbtl.errors import check_known, needs
 from mbtl.objective import k_star
 from mbtl.report.reference import REFERENCE_NAMES
-from mbtl.routing import SURE
 from mbtl.zoo.benchmark.oracle import Reference
 
 # ---- records of a comparison: numbers first, tables and figures are drawn from these ---------
@@ -507,7 +505,11 @@ def _few(n: int) -> float:
 
     The latter covers 75, 84 and 90 % with 3, 5 and 10 matrices, made wider 94 or 95 %.
     """
-    return student(n - 1) / SURE * float(np.sqrt(n / (n - 1))) if n >= _FEWEST else 1.0
+    from scipy.special import ndtri, stdtrit  # slow to import
+
+    if n < _FEWEST:
+        return 1.0
+    return float(stdtrit(n - 1, 0.975) / ndtri(0.975) * np.sqrt(n / (n - 1)))
 
 
 # ---- the whole -------------------------------------------------------------------------------
