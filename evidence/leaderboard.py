@@ -16,16 +16,16 @@ their own, without the selectors that need one axis.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from mbtl.episodes import student
-from mbtl.zoo.benchmark import compare, levels
+from mbtl.zoo.benchmark import compare
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.compare import default_selectors
-from mbtl.zoo.benchmark.comparison import SHARES, Comparison, Estimate, Trainings, trainings_to
+from mbtl.zoo.benchmark.comparison import Comparison, Estimate, Trainings, summarise
 from mbtl.zoo.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.zoo.reproduction import published
 
@@ -59,19 +59,6 @@ def other_seeds(matrix_id: str, budget: int) -> np.ndarray:
     return np.array(curves)
 
 
-def counts(curves: Mapping[str, np.ndarray], budget: int) -> list[str]:
-    """Trainings to each level, geometric means; one that is not reached counts as K + 1."""
-    logs, censored = [], np.zeros(len(SHARES), dtype=bool)
-    for matrix_id, each in curves.items():
-        known = [levels(load_by_id(matrix_id), s) for s in range(len(each))]
-        pairs = zip(each, known, strict=True)
-        found = [trainings_to(c, one.grand_mean, one.oracle_transfer) for c, one in pairs]
-        censored |= np.any([[k is None for k in reached] for reached in found], axis=0)
-        logs.append(np.mean(np.log([[k or budget + 1 for k in row] for row in found]), axis=0))
-    means = np.exp(np.mean(logs, axis=0))
-    return ["> " * bool(cut) + f"{mean:.1f}" for mean, cut in zip(means, censored, strict=True)]
-
-
 def trainings(found: Trainings, budget: int) -> str:
     value = found.estimate.value
     if value is None:
@@ -90,8 +77,7 @@ def shares(result: Comparison, ids: Sequence[str]) -> dict[str, np.ndarray]:
     """(CMDPs,) mean share of the way under the curve, by selector; seeds as a ratio of sums."""
     each: dict[str, list[float]] = {}
     for i in ids:
-        matrix = load_by_id(i)
-        known = [levels(matrix, s) for s in range(matrix.n_seeds)]
+        known = [one.levels for one in result.references[i]]
         low = np.array([one.grand_mean for one in known])
         way = sum(one.oracle_transfer for one in known) - low.sum()
         for name, curves in result.curves[i].items():  # of Random, the mean of all orders
@@ -118,12 +104,16 @@ def board(names: Sequence[str], ids: Sequence[str], budget: int) -> list[str]:
     # the others' matrices tell of every context only where all were trained on
     several = [i for i in ids if (m := load_by_id(i)).n_seeds > 1 and m.sources is None]
     if several:
-        who = {
-            f"{FIRST} there": {i: result.curves[i][FIRST] for i in several},
-            "the other seeds": {i: other_seeds(i, budget) for i in several},
+        there = {
+            i: {
+                f"{FIRST} there": result.curves[i][FIRST],
+                "the other seeds": other_seeds(i, budget),
+            }
+            for i in several
         }
-        for name, curves in who.items():
-            values = " | ".join(counts(curves, budget))
+        known = {i: result.references[i] for i in several}
+        for name, s in summarise(there, known, {}).pooled.items():
+            values = " | ".join(trainings(k, budget) for k in (s.k90, s.k95, s.k99))
             lines.append(f"| *{name}* ({len(several)} CMDPs) | {values} | | | |")
     return lines
 

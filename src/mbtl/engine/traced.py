@@ -148,8 +148,8 @@ def jax_problem(
     problem = JaxProblem(Solo(cast(Any, simulated)), space, show_context)
     _check_traced(problem)
     options = {"eval_episodes": 10, "checkpoint": "final", **(trainer_options or {})}
+    known = {one.name for one in fields(WorldTrainer)} - {"problem", "timesteps"}
     for name in options:
-        known = {one.name for one in fields(WorldTrainer)} - {"problem", "timesteps"}
         check_known("trainer option", name, known)
     trainer = WorldTrainer(problem, timesteps=timesteps, **options)
     shown = {"visibility": "cube" if show_context else "hidden"}

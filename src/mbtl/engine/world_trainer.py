@@ -585,25 +585,30 @@ class WorldTrainer:
         names: Sequence[str] = (),
     ) -> dict[str, Array]:
         """What the world measures, or its simulators; see `mbtl.trainers.MeasuringTrainer`."""
-        from mbtl.envs.references import Controller, played
-        from mbtl.envs.rollout import Actor
-
         world, params = self.problem(contexts)
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
-        if not isinstance(policy, (str, MLPPolicy)):
-            if callable(policy) and self.simulation(contexts[0]) is not None:
-                act, make = Actor(Controller(policy)), self.simulation
-                return played(make, act, contexts, each, names, score=None, max_envs=1)[0]
-            raise InvalidInput(
-                "worlds are played by policies of the engine, by ways that they name and, where "
-                "there is one agent in jax, by functions of an observation, got "
-                f"{type(policy).__name__}; give one of {self.ways(contexts)}"
-            )
         problem: Any = self.problem
         alone = hasattr(problem, "make_env") and not hasattr(world, "measures")
-        if names and alone and policy != RANDOM_ACTIONS:  # one after another
-            who = policy if isinstance(policy, str) else Actor(policy, self.how == "sampled")
+        make, score = None, None
+        if not isinstance(policy, (str, MLPPolicy)):
+            if not callable(policy) or self.simulation(contexts[0]) is None:
+                raise InvalidInput(
+                    "worlds are played by policies of the engine, by ways that they name and, "
+                    "where there is one agent in jax, by functions of an observation, got "
+                    f"{type(policy).__name__}; give one of {self.ways(contexts)}"
+                )
+            make = self.simulation
+        elif names and alone and policy != RANDOM_ACTIONS:
             make, score = problem.make_env, getattr(problem, "score", None)
+        if make is not None:  # one after another
+            from mbtl.envs.references import Controller, played
+            from mbtl.envs.rollout import Actor
+
+            who: Any = policy
+            if isinstance(policy, MLPPolicy):
+                who = Actor(policy, self.how == "sampled")
+            elif not isinstance(policy, str):
+                who = Actor(Controller(policy))
             return played(make, who, contexts, each, names, score=score, max_envs=1)[0]
         if isinstance(policy, str):
             found = engine.measured(world, None, params, each, way=policy)

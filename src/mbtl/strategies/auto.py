@@ -279,8 +279,7 @@ class Standing:
                 noise = 0.0 if errors is None else np.linalg.norm(errors[[before, now]] * weights)
                 twice = float(np.log2(until / since))
                 units = f"{until - since:g} unit" + "s" * (until - since != 1.0)
-                what = "doubling" if twice == 1.0 else units
-                said = f"{what} added {gain:.3f}"
+                said = f"{'doubling' if twice == 1.0 else units} added {gain:.3f}"
                 found.append((float(gain) / twice, float(noise) / twice, said))
         return found
 

@@ -158,15 +158,10 @@ def _early_stop(state: StudyState) -> str | None:
                 return f"{within} there can be, {most:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
-    if (
-        spec.costs is not None
-        and state.cost_left < 0.0
-        and any(
-            not state.picks[number].retries
-            for number in given_back(state)  # else it was begun
-        )
-    ):
-        return f"the picks given back cost more than is left of {spec.cost_budget:g}"
+    if spec.costs is not None and state.cost_left < 0.0:
+        untried = [n for n in given_back(state) if not state.picks[n].retries]
+        if untried:  # what failed is begun again all the same
+            return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
 
 

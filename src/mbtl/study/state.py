@@ -172,8 +172,8 @@ class StudyState:
 
         Each try that failed before counts, too.
         """
-        open_ = sum(map(self.usual_cost, self.open_picks.values()))
-        return self.cost_answered + (0.0 if self.spec.costs is None else open_)
+        open_ = () if self.spec.costs is None else self.open_picks.values()
+        return self.cost_answered + sum(map(self.usual_cost, open_))
 
     @property
     def cost_answered(self) -> float:

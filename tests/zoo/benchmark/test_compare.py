@@ -1,7 +1,6 @@
 """Comparisons: closed answers of the linear-gap world, and what a selector is shown."""
 
 from dataclasses import dataclass, field
-from functools import partial
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -160,21 +159,21 @@ def test_what_no_study_would_take_is_refused_in_a_comparison_too(answer, match):
 
 
 def test_a_selector_whose_first_pick_cannot_be_is_refused_before_any_work():
+    def nothing(problem, history, rng):
+        raise Exhausted("enough")
+
     some, steps = TransferMatrix.of(np.eye(3)[None, :2], sources=[0, 1]), []
-    for answer, match in (
-        (Proposal(2, ""), "'stuck' cannot run on matrix .* may train on, got 2 .*open_candidates"),
-        (Exhausted("enough"), "'stuck' cannot run on matrix .*: enough"),
+    silent = SimpleNamespace(name="stuck", propose=nothing)
+    for selector, match in (
+        (
+            Stuck(Proposal(2, "")),
+            "'stuck' cannot run on matrix .* may train on, got 2 .*open_candidates",
+        ),
+        (silent, "'stuck' cannot run on matrix .*: enough"),
     ):
-        selector = SimpleNamespace(name="stuck", propose=partial(_answered, answer))
         with pytest.raises(InvalidInput, match=match):
             compare([selector], [some], budget=2, on_step=steps.append)
     assert steps == []
-
-
-def _answered(answer, problem, history, rng):
-    if isinstance(answer, Exception):
-        raise answer
-    return answer
 
 
 def test_a_file_and_the_id_of_one_matrix_are_held_out_alike(tmp_path):

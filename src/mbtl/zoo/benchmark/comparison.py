@@ -509,7 +509,8 @@ def _few(n: int) -> float:
 
     if n < _FEWEST:
         return 1.0
-    return float(stdtrit(n - 1, 0.975) / ndtri(0.975) * np.sqrt(n / (n - 1)))
+    end = (1.0 + CONFIDENCE) / 2.0
+    return float(stdtrit(n - 1, end) / ndtri(end) * np.sqrt(n / (n - 1)))
 
 
 # ---- the whole -------------------------------------------------------------------------------

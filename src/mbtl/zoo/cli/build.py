@@ -234,6 +234,7 @@ def _lost(space: ContextSpace, every: int) -> str | None:
 
 
 def _check_levels(space: ContextSpace, every: int) -> None:
+    """Refuse sources that lose a level: no other one stands for it."""
     if lost := _lost(space, every):
         fits = max(n for n in range(1, every) if not _lost(space, n))
         raise InvalidInput(
